@@ -1,14 +1,13 @@
 """The NetCDF file of a patch's roughness."""
 
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-import xarray as xr
 
 from lscan.errors import MeasurementError
 from lscan.files.disk import write_atomically
+from lscan.files.netcdf import NetcdfArray, netcdf_bytes
 from lscan.records import Floats
 from lscan.roughness.analysis import Roughness
 from lscan.roughness.moments import structure_function
@@ -45,65 +44,63 @@ def save_roughness(path: Path, patch: Patch, found: Roughness) -> None:
         The file cannot be written.
     """
     plane, rings, corrected = found.spectrum, by_rings(found.spectrum), by_rings(found.corrected)
-    per_cm, cm4 = {"units": "rad cm-1"}, {"units": "cm4"}
-    data = xr.Dataset(
-        {
-            "w2": (("ky", "kx"), plane.density_cm4, {**cm4, "long_name": "roughness spectrum"}),
-            "w2_ring": ("k", rings.density_cm4, {**cm4, "long_name": "its mean over rings"}),
-            "w2_ring_corrected": (
-                "k",
-                _at(rings.wavenumber_per_cm, corrected),
-                {**cm4, "long_name": "its mean over rings, less noise, over the response"},
-            ),
-            "w2_ring_low": ("k", rings.low_cm4, {**cm4, "long_name": "lower 95 % limit"}),
-            "w2_ring_high": ("k", rings.high_cm4, {**cm4, "long_name": "upper 95 % limit"}),
-        },
-        coords={
-            "ky": ("ky", plane.along_y_per_cm.ravel(), per_cm),
-            "kx": ("kx", plane.along_x_per_cm.ravel(), per_cm),
-            "k": ("k", rings.wavenumber_per_cm, per_cm),
-        },
-        attrs={**found.figures(), "Conventions": "CF-1.11", "source": f"lscan {__version__}"},
-    )
-    data = data.assign({name: one for axis in (0, 1) for name, one in _along(patch, axis).items()})
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "roughness.nc"
-        data.to_netcdf(whole, engine="h5netcdf")
-        content = whole.read_bytes()
-    write_atomically(path, content)
+    arrays = {
+        "w2": _array(("ky", "kx"), plane.density_cm4, "cm4", "roughness spectrum"),
+        "w2_ring": _array(("k",), rings.density_cm4, "cm4", "its mean over rings"),
+        "w2_ring_corrected": _array(
+            ("k",), _at(rings.wavenumber_per_cm, corrected), "cm4",
+            "its mean over rings, less noise, over the response",
+        ),
+        "w2_ring_low": _array(("k",), rings.low_cm4, "cm4", "lower 95 % limit"),
+        "w2_ring_high": _array(("k",), rings.high_cm4, "cm4", "upper 95 % limit"),
+        "ky": _wavenumbers("ky", plane.along_y_per_cm.ravel(), "wavenumber along y"),
+        "kx": _wavenumbers("kx", plane.along_x_per_cm.ravel(), "wavenumber along x"),
+        "k": _wavenumbers("k", rings.wavenumber_per_cm, "wavenumber of the ring"),
+        **_along(patch, 0),
+        **_along(patch, 1),
+    }  # fmt: skip
+    notes = {"title": "Roughness of a surface", "source": f"lscan {__version__}", **found.figures()}
+    write_atomically(path, netcdf_bytes(arrays, notes))
 
 
-def _along(patch: Patch, axis: int) -> dict[str, xr.DataArray]:
+def _array(dimensions: tuple[str, ...], values: Floats, unit: str, long_name: str) -> NetcdfArray:
+    return NetcdfArray(dimensions, values, {"units": unit, "long_name": long_name})
+
+
+def _wavenumbers(name: str, values: Floats, long_name: str) -> NetcdfArray:
+    return _array((name,), values, "rad cm-1", long_name)
+
+
+def _along(patch: Patch, axis: int) -> dict[str, NetcdfArray]:
     """Spectra of the profiles along an axis, and the structure function, by their names."""
     name = "yx"[axis]
-    structure = structure_function(patch, axis)
+    structure, distance, k = structure_function(patch, axis), f"distance_{name}", f"k{name}_profile"
+    values, words = structure.difference_cm2, f"structure function along {name}"
     found = {
-        f"structure_{name}": xr.DataArray(
-            structure.difference_cm2,
-            {f"distance_{name}": structure.distance_cm},
-            attrs={"units": "cm2", "long_name": f"structure function along {name}"},
-        )
+        f"structure_{name}": _array((distance,), values, "cm2", words),
+        distance: _array((distance,), structure.distance_cm, "cm", f"distance along {name}"),
     }
+    for method, spectrum in _profile_spectra(patch, axis).items():
+        words = f"W1 of profiles along {name}, two-sided, by {method}"
+        ending = "" if method == "multitaper" else "_capon"
+        found[f"w1_{name}{ending}"] = _array((k,), spectrum.density_cm3, "cm3", words)
+        found[k] = _wavenumbers(k, spectrum.wavenumber_per_cm, f"wavenumber along {name}")
+    return found
+
+
+def _profile_spectra(patch: Patch, axis: int) -> dict[str, ProfileSpectrum]:
+    """Those that the patch's holes allow, by method, at the same wavenumbers."""
+    found = {}
     with suppress(MeasurementError):  # every profile has a hole
-        whole = profile_spectrum(patch, axis)
-        found[f"w1_{name}"] = _profiles(whole, name, "multitaper")
+        found["multitaper"] = profile_spectrum(patch, axis)
     heights, seen = detrended(patch), patch.seen
     if axis == 0:
         heights, seen = heights.T, seen.T
     count = heights.shape[1]
     size: Floats = 2 * np.pi * np.fft.rfftfreq(count, patch.cell_cm).astype(float)[1:]
     with suppress(MeasurementError):  # too few stretches are without a hole
-        short = capon_spectrum(heights, seen, patch.cell_cm, size, count // CAPON)
-        found[f"w1_{name}_capon"] = _profiles(short, name, "Capon")
+        found["Capon"] = capon_spectrum(heights, seen, patch.cell_cm, size, count // CAPON)
     return found
-
-
-def _profiles(spectrum: ProfileSpectrum, name: str, method: str) -> xr.DataArray:
-    return xr.DataArray(
-        spectrum.density_cm3,
-        {f"k{name}_profile": spectrum.wavenumber_per_cm},
-        attrs={"units": "cm3", "long_name": f"W1 of profiles along {name}, two-sided, by {method}"},
-    )
 
 
 def _at(wavenumber_per_cm: Floats, rings: RingSpectrum) -> Floats:

@@ -3,7 +3,6 @@
 The same surface gives the same bytes.
 """
 
-import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -16,22 +15,19 @@ from numpy.typing import NDArray
 from lscan.config.documents import check
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
-from lscan.records import Floats, Provenance, Status, Surface, has_value
-from lscan.surface.netcdf import PROVENANCE, read_arrays
+from lscan.files.netcdf import NetcdfArray, netcdf_bytes
+from lscan.records import Floats, Mask, Provenance, Status, Surface, has_value
+from lscan.surface.netcdf import DIMENSIONS, MOST_MODE_NUMBERS, MOST_POINTS, PROVENANCE, read_arrays
 from lscan.surface.provenance import StoredProvenance
 from lscan.version import __version__
 
-DIMENSIONS = ("frame", "column")
 SEPARATOR = "; "  # of the corrections
 LENGTH = {"units": "mm"}
 MODES = {
     "long_name": "displacement along x, y and z by each independent error of calibration and "
     "alignment, when it is one standard deviation large"
 }
-_Variable = tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]
-"""Dimensions, values and attributes."""
-
-PACKED = {"zlib": True, "complevel": 1, "shuffle": True}
+COORDINATES = "x y position"
 
 
 def save_surface(path: Path | str, surface: Surface) -> None:
@@ -61,22 +57,40 @@ def save_surface(path: Path | str, surface: Surface) -> None:
     >>> surface = lscan.load_surface("surface.nc")
     >>> lscan.save_surface("copy.nc", surface)
     """
-    import xarray as xr  # here: it takes half a second, which most commands do without
+    require_storable(Path(path), *surface.status.shape)
+    if surface.modes_mm is not None and surface.modes_mm.size > MOST_MODE_NUMBERS:
+        allowed = f"{MOST_MODE_NUMBERS} numbers"
+        shape = surface.modes_mm.shape
+        raise InputError("modes: are too many for a file", where=path, value=shape, allowed=allowed)
+    write_atomically(Path(path), netcdf_bytes(*_contents(surface)))
 
-    arrays, notes = _contents(surface)
-    data = xr.Dataset(arrays, attrs=notes).set_coords(["x", "y", "position"])
-    with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder) / "surface.nc"
-        packed = {"modes": PACKED} if "modes" in data else {}
-        data.to_netcdf(whole, engine="h5netcdf", encoding=packed)
-        content = whole.read_bytes()
-    write_atomically(Path(path), content)
+
+def require_storable(path: Path, frames: int, columns: int) -> None:
+    """Refuse a surface of more points than its readers accept.
+
+    Parameters
+    ----------
+    path : Path, of the file that it is for
+    frames, columns : int
+
+    Raises
+    ------
+    InputError
+        There are more than ``MOST_POINTS``.
+    """
+    if frames * columns > MOST_POINTS:
+        raise InputError(
+            "the surface has too many points for a file", where=path,
+            value=f"{frames} profiles of {columns} columns", allowed=f"{MOST_POINTS} points",
+        )  # fmt: skip
 
 
 def load_surface(path: Path | str) -> Surface:
     """The surface that :func:`save_surface` wrote, to the last bit, but for its brightness: None.
 
-    The yaw, which the file has in degrees, is the same to rounding.
+    The yaw, which the file has in degrees, is the same to rounding.  Where another program has
+    rewritten the file, packed numbers, missing ones, other units of length and another order of
+    the dimensions are followed; a point without x, y or z has no data.
 
     Parameters
     ----------
@@ -105,18 +119,21 @@ def load_surface(path: Path | str) -> Surface:
     _check_shapes(path, arrays)
     if not np.isin(arrays["status"], list(Status)).all():
         raise InputError("status: holds what is no status", where=path)
-    there = has_value(arrays["status"].astype(np.int64)) & np.isfinite(arrays["z"])
+    if not np.isfinite(arrays["position"]).all():
+        raise InputError("position: is not known of each profile", where=path)
+    xyz, status = np.stack([arrays[name] for name in "xyz"], axis=-1), arrays["status"]
+    there = has_value(status.astype(np.int64)) & np.isfinite(xyz).all(axis=-1)
     for name in ("x_sigma", "y_sigma", "z_sigma"):
         if name in arrays and not (arrays[name][there] >= 0).all():
             raise InputError(f"{name}: is no uncertainty at a point that has a value", where=path)
     return Surface(
-        xyz_mm=np.stack([arrays["x"], arrays["y"], arrays["z"]], axis=-1),
+        xyz_mm=xyz,
         sigma_x_mm=arrays["x_sigma"],
         sigma_z_mm=arrays["z_sigma"],
-        status=arrays["status"].astype(np.int64),
+        status=_without_lost_points(status.astype(np.int64), there),
         position_mm=arrays["position"],
         frame=cast(Literal["head", "workpiece"], frame),
-        modes_mm=cast(NDArray[np.float32] | None, arrays.get("modes")),
+        modes_mm=arrays["modes"].astype(np.float32) if "modes" in arrays else None,
         sigma_y_mm=arrays.get("y_sigma"),
         corrections=tuple(filter(None, corrections.split(SEPARATOR))),
         yaw_rad=_angle(path, attributes, "yaw_deg"),
@@ -125,11 +142,16 @@ def load_surface(path: Path | str) -> Surface:
     )
 
 
+def _without_lost_points(status: NDArray[np.int64], there: Mask) -> NDArray[np.int64]:
+    """The status with NO_DATA where another program has taken a point's x, y or z away."""
+    return np.where(has_value(status) & ~there, Status.NO_DATA, status)
+
+
 def _angle(path: Path, attributes: Mapping[str, Any], name: str) -> float | None:
     """An attribute in degrees as rad, None where it is not there."""
     if name not in attributes:
         return None
-    value = np.asarray(attributes[name])  # h5netcdf writes numbers as arrays of one
+    value = np.asarray(attributes[name])  # NetCDF-4 has numbers as arrays of one
     if value.dtype.kind != "f" or value.size != 1 or not np.isfinite(value).all():
         raise InputError(f"{name}: is no angle", where=path, value=attributes[name])
     return float(np.radians(value.item()))
@@ -183,46 +205,44 @@ def save_points(path: Path, surface: Surface) -> None:
     write_atomically(path, content)
 
 
-def _contents(surface: Surface) -> tuple[dict[str, _Variable], dict[str, Any]]:
-    """The surface as variables after the CF conventions, and attributes."""
+def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]:
+    """The surface as arrays after the CF conventions, and attributes."""
     where = "laser sheet and track" if surface.frame == "head" else "workpiece"
 
-    def array(values: NDArray[Any], long_name: str, **notes: Any) -> _Variable:
-        return DIMENSIONS, values, {"long_name": long_name, **notes}
+    def array(values: NDArray[Any], long_name: str, **notes: Any) -> NetcdfArray:
+        return NetcdfArray(DIMENSIONS, values, {"long_name": long_name, **notes})
 
-    def sigma(values: Floats, long_name: str) -> _Variable:
-        return array(values, long_name, standard_name_modifier="standard_error", **LENGTH)
+    def measured(values: NDArray[Any], long_name: str, **notes: Any) -> NetcdfArray:
+        return array(values, long_name, coordinates=COORDINATES, **notes)
 
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
-    arrays: dict[str, _Variable] = {
+    # Of z alone: what stands beside a coordinate is lost in iris.
+    beside = "z_sigma status" + (surface.modes_mm is not None) * " sigma_calibration"
+    codes = np.array([int(status) for status in Status], dtype=np.int8)
+    arrays = {
         "x": array(x, f"x in the {where} frame", **LENGTH),
         "y": array(y, f"y in the {where} frame", **LENGTH),
-        "z": array(z, f"height in the {where} frame", **LENGTH),
-        "x_sigma": sigma(surface.sigma_x_mm, "standard uncertainty of x"),
-        "z_sigma": sigma(surface.sigma_z_mm, "standard uncertainty of z"),
-        "status": array(
+        "z": measured(z, f"height in the {where} frame", ancillary_variables=beside, **LENGTH),
+        "x_sigma": measured(surface.sigma_x_mm, "standard uncertainty of x", **LENGTH),
+        "z_sigma": measured(surface.sigma_z_mm, "standard uncertainty of z", **LENGTH),
+        "status": measured(
             surface.status.astype(np.int8),
             "why a point has, or has not, a value",
-            flag_values=np.array([int(status) for status in Status], dtype=np.int8),
+            flag_values=codes,
             flag_meanings=" ".join(status.name.lower() for status in Status),
         ),
     }
-    beside = {"x": "x_sigma", "y": "", "z": "z_sigma"}
     if surface.sigma_y_mm is not None:
-        arrays["y_sigma"] = sigma(surface.sigma_y_mm, "standard uncertainty of y")
-        beside["y"] = "y_sigma"
+        arrays["y_sigma"] = measured(surface.sigma_y_mm, "standard uncertainty of y", **LENGTH)
     if surface.modes_mm is not None:
         common = np.sqrt(np.square(surface.modes_mm[..., 2, :], dtype=np.float64).sum(axis=-1))
         name = "part of z_sigma that calibration and alignment give to all points in common"
-        arrays["sigma_calibration"] = sigma(common, name)
-        beside["z"] += " sigma_calibration"
-        arrays["modes"] = ((*DIMENSIONS, "axis", "mode"), surface.modes_mm, {**MODES, **LENGTH})
-    for name, sigmas in beside.items():
-        arrays[name][2]["ancillary_variables"] = f"{sigmas} status".strip()
+        arrays["sigma_calibration"] = measured(common, name, **LENGTH)
+        modes = {**MODES, "coordinates": COORDINATES, **LENGTH}
+        arrays["modes"] = NetcdfArray((*DIMENSIONS, "axis", "mode"), surface.modes_mm, modes)
     track = {"long_name": "track position of the profile", **LENGTH}
-    arrays["position"] = (DIMENSIONS[:1], surface.position_mm, track)
+    arrays["position"] = NetcdfArray(DIMENSIONS[:1], surface.position_mm, track)
     notes: dict[str, Any] = {
-        "Conventions": "CF-1.11",
         "title": "Surface measured by a laser line scanner",
         "source": f"laser line scanner, lscan {__version__}",
         "frame": surface.frame,

@@ -1,18 +1,17 @@
 """The files of a study: results.json, runs.nc with every run, and the page report.html."""
 
 import json
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from pydantic import TypeAdapter, ValidationError
 
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, read_text, write_atomically
 from lscan.files.jsontext import write_json
+from lscan.files.netcdf import NetcdfArray, netcdf_bytes
 from lscan.version import __version__
 from sim.studies.page import render_page
 from sim.studies.problem import columns
@@ -93,29 +92,42 @@ def runs_netcdf(runs: StudyRuns, title: str) -> bytes:
     title : str, of the study
     """
     number = {"long_name": "number that the distribution's quantile is taken at", "units": "1"}
-    data: dict[str, Any] = {
-        "block": ("run", np.array(runs.blocks, dtype=object), {"long_name": "what the run is for"}),
-        "status": ("run", np.array(runs.statuses, dtype=object), {"long_name": "ok, or the error"}),
-        "number": (("run", "cause"), runs.rows, number),
+    names = np.array([cause.name for cause in runs.causes])
+    data = {
+        "block": _array("run", np.array(runs.blocks), long_name="what the run is for"),
+        "status": _array("run", np.array(runs.statuses), long_name="ok, or the error"),
+        "cause": _array("cause", names, long_name="name of the cause"),
+        "number": NetcdfArray(("run", "cause"), runs.rows, number),
     }
     for k, cause in enumerate(runs.causes):
         if cause.unit is not None:
             words = f"{', '.join(cause.keys)}: {cause.distribution}, {cause.when}"
-            attributes = {"units": cause.unit or "1", "long_name": words}
-            data[_variable("value", cause.name)] = ("run", runs.physical[:, k], attributes)
+            name, unit = _variable("value", cause.name), _udunit(cause.unit)
+            data[name] = _array("run", runs.physical[:, k], units=unit, long_name=words)
     for output in runs.outputs:
         values = runs.values[:, columns(runs.outputs)[output.name]]
-        attributes = {"units": output.unit, "long_name": f"{output.name}, measured less true"}
+        words = f"{output.name}, measured less true"
+        attributes = {"units": _udunit(output.unit), "long_name": words}
         name = _variable("error", output.name)
         shape = ("run", _variable("place", output.name)) if output.size > 1 else ("run",)
-        data[name] = (shape, values if output.size > 1 else values[:, 0], attributes)
-    names = ("cause", np.array([cause.name for cause in runs.causes], dtype=object))
-    attributes = {"Conventions": "CF-1.11", "title": title, "source": f"lscan {__version__}"}
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / RUNS
-        dataset = xr.Dataset(data, coords={"cause": names}, attrs=attributes)
-        dataset.to_netcdf(file, engine="h5netcdf")
-        return file.read_bytes()
+        data[name] = NetcdfArray(shape, values if output.size > 1 else values[:, 0], attributes)
+    return netcdf_bytes(data, {"title": title, "source": f"lscan {__version__}"})
+
+
+def _array(dimension: str, values: np.ndarray, **attributes: str) -> NetcdfArray:
+    return NetcdfArray((dimension,), values, attributes)
+
+
+UNKNOWN_UNITS = ("", "px", "psu", "NTU", "e-")
+"""That UDUNITS does not know, by which CF states units: there they are 1, and named in words."""
+
+
+def _udunit(unit: str) -> str:
+    """A unit as UDUNITS reads it, which takes "mm per 9 mm" for an area."""
+    over, _, under = unit.partition(" per ")
+    if under:
+        return f"{over}/({under})"
+    return "1" if unit in UNKNOWN_UNITS else {"deg": "degree"}.get(unit, unit)
 
 
 def _variable(kind: str, name: str) -> str:

@@ -73,7 +73,7 @@ def a_group(file: h5py.File, secret: Path) -> None:
 
 def of_type(kind: Any, shape: tuple[int, ...] = SHAPE) -> Callable[[h5py.File, Path], None]:
     def make(file: h5py.File, secret: Path) -> None:
-        file.create_dataset("z", shape, kind)
+        file.create_dataset("z", shape, kind).attrs["units"] = "mm"
 
     return make
 
@@ -126,7 +126,7 @@ def test_terabytes_of_nothing_take_no_memory(saved: Path, tmp_path: Path) -> Non
     assert most_mib < 20
 
 
-@pytest.mark.parametrize("frame", ["moon", 1, [1.0, 2.0], b"head"])
+@pytest.mark.parametrize("frame", ["moon", 1, [1.0, 2.0], b"moon", ["head", "head"]])
 def test_an_attribute_that_is_no_frame_is_refused(saved: Path, tmp_path: Path, frame: Any) -> None:
     path = Path(shutil.copy(saved, tmp_path))
     with h5py.File(path, "r+") as file:

@@ -170,7 +170,8 @@ def test_a_killed_data_set_goes_on_with_the_same_bytes(tmp_path: Path, alone: Pa
         time.sleep(0.01)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    (tmp_path / "set" / "shard-000001.tar").write_bytes(b"torn")
+    for torn in ("shard-000001.tar", ".shard-000001.tar.0123abcd.tmp"):
+        (tmp_path / "set" / torn).write_bytes(b"torn")
     refused = CliRunner().invoke(app, command)
     assert isinstance(refused.exception, InputError)
     assert CliRunner().invoke(app, [*command, "--resume"]).exit_code == 0
