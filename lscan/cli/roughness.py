@@ -134,11 +134,11 @@ def roughness(
 
 def _patch(surface: Surface, cell_mm: float | None, yaw_deg: float) -> Patch:
     """The patch of its profiles, or of cells; yaw: of its sheet against the track."""
-    from lscan.roughness import patch_of, patch_of_profiles
-    from lscan.surface import grid_cells, shear
+    from lscan.roughness import patch_of_cells, patch_of_profiles
+    from lscan.surface import shear
 
     turned = replace(surface, xyz_mm=surface.xyz_mm @ shear(np.radians(yaw_deg)).T)
-    return patch_of_profiles(turned) if cell_mm is None else patch_of(grid_cells(turned, cell_mm))
+    return patch_of_profiles(turned) if cell_mm is None else patch_of_cells(turned, cell_mm)
 
 
 def _of_lengths(

@@ -39,7 +39,9 @@ PACKING = {
 """Attributes of packed numbers and of missing ones, and how many numbers each is at most."""
 
 NOT_WRITTEN = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767} | {
-    "i4": -(2**31) + 1
+    "i4": -(2**31) + 1,
+    "u2": 2**16 - 1,
+    "u4": 2**32 - 1,
 }
 """By types, what stands where nothing was written and the file names no value for it."""
 
@@ -105,7 +107,8 @@ def _characters(texts: NDArray[np.str_]) -> NDArray[np.bytes_]:
 def _portable(value: Any) -> Any:
     """The value of an attribute in a type of NetCDF-3."""
     if isinstance(value, str):
-        return np.bytes_(value.encode())
+        text = value.encode()
+        return np.array(text, dtype=h5py.string_dtype("utf-8", max(len(text), 1)))
     return np.int32(value) if isinstance(value, int) else value
 
 
@@ -183,7 +186,8 @@ def _missing(
     missing = np.zeros(stored.shape, dtype=bool)
     for key, mark in marks:
         if stored.dtype.kind != "f" and not float(mark).is_integer():
-            raise InputError(f"{key}: is not of the array's type", where=where, value=mark)
+            value = f"{mark:g}"
+            raise InputError(f"{key}: is not of the array's type", where=where, value=value)
         with np.errstate(over="ignore"):
             missing |= stored == (stored.dtype.type(mark) if stored.dtype.kind == "f" else mark)
     least, most = notes.get("valid_range", (None, None))

@@ -16,7 +16,7 @@ from lscan.roughness.moments import (
     moments,
     structure_function,
 )
-from lscan.roughness.patch import MM_PER_CM, Patch, patch_of
+from lscan.roughness.patch import MM_PER_CM, Patch, patch_of, patch_of_cells
 from lscan.roughness.profiles import patch_of_profiles
 from lscan.roughness.profilewaves import ProfileWaves, profile_waves
 from lscan.roughness.ripples import RippleTrain, find_ripples, fit_waves, without_ripples
@@ -78,6 +78,7 @@ __all__ = [
     "noise_density",
     "of_grain_size",
     "patch_of",
+    "patch_of_cells",
     "patch_of_profiles",
     "patch_spectrum",
     "predicted_backscatter",

@@ -4,13 +4,15 @@ Nothing is filled in.  What is asked of a patch counts the cells that were measu
 expectation of a periodogram is taken over just those.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Floats, Mask, has_value
-from lscan.surface import HeightGrid
+from lscan.records import Floats, Mask, Surface, has_value
+from lscan.surface import HeightGrid, grid_cells
+from lscan.surface.grid import MIN_POINTS
 
 MM_PER_CM = 10.0
 FEWEST = 16
@@ -93,6 +95,45 @@ def patch_of(grid: HeightGrid) -> Patch:
     noise = float(np.maximum(variance[seen], 0.0).mean()) if seen.any() else 0.0
     z = np.where(seen, grid.z_mm, 0.0) / MM_PER_CM
     return Patch(z, seen, grid.cell_mm / MM_PER_CM, noise / MM_PER_CM**2)
+
+
+def patch_of_cells(surface: Surface, cell_mm: float) -> Patch:
+    """The patch of a surface's points, averaged in cells.
+
+    Parameters
+    ----------
+    surface : Surface, mm
+    cell_mm : float, mm, side of a cell
+
+    Raises
+    ------
+    InputError
+        The cells are too small or too many.
+    MeasurementError
+        There is no point, or the patch is too small or has too many holes: a size of cells that
+        serves is named, where there is one.
+    """
+    grid = grid_cells(surface, cell_mm)
+    try:
+        return patch_of(grid)
+    except MeasurementError as error:
+        serving_mm = _serving_cell_mm(surface)
+        advice = f"cells of {serving_mm:g} mm serve" if serving_mm else "no size of cells serves"
+        raise MeasurementError(f"{error}; a cell needs {MIN_POINTS} points: {advice}") from error
+
+
+def _serving_cell_mm(surface: Surface) -> float | None:
+    """The least size of cells, to a tenth of it, that gives a patch; None where none does."""
+    plan = surface.xyz_mm[has_value(surface.status)][:, :2]
+    width, length = np.ptp(plan, axis=0)
+    size = np.sqrt(MIN_POINTS * width * length / len(plan))
+    while min(width, length) > FEWEST * size > 0:
+        rounded = float(f"{size:.2g}")
+        with suppress(MeasurementError):
+            patch_of(grid_cells(surface, rounded))
+            return rounded
+        size *= 1.1
+    return None
 
 
 def wavenumbers(shape: tuple[int, int], cell_cm: float) -> tuple[Floats, Floats]:

@@ -85,7 +85,7 @@ def _resampled(along: Floats, z: Floats, good: Mask, places: Floats) -> tuple[Fl
     """(C,) heights at places along a profile, 0 in holes, and where they are none."""
     order = np.argsort(along[good])
     s, height = along[good][order], z[good][order]
-    single = np.r_[True, np.diff(s) > 1e-9]
+    single = np.diff(s, prepend=-np.inf) > 1e-9
     s, height = s[single], height[single]
     found, seen = np.zeros(len(places)), np.zeros(len(places), dtype=bool)
     if len(s) < SHORTEST:
