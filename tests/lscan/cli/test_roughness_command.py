@@ -1,16 +1,19 @@
 """`lscan roughness` as its users run it: on a surface of a known law and a known train."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
 from command_line import call, refused
+from netcdf_forms import stumbling_blocks
 from rough_patches import drawn, wave
 
+from lscan.errors import MeasurementError
 from lscan.records import Status, Surface
-from lscan.roughness import PowerLaw
+from lscan.roughness import PowerLaw, patch_of_cells, patch_of_profiles
 from lscan.surface import load_surface, save_surface
 
 SIDE, CELL_CM = 64, 0.2
@@ -45,6 +48,7 @@ def test_the_file_holds_every_spectrum_and_their_variances_agree(surface_file, t
     told = json.loads(out)
     assert told["ripple_wavelength_cm"] == pytest.approx(3.2, rel=0.01)
     assert 0 <= told["ripple_spread"] < 0.02
+    assert stumbling_blocks(output) == []
     with xr.open_dataset(output, engine="h5netcdf") as found:
         for name in ("w1_x", "w1_y", "w1_x_capon", "w1_y_capon"):
             assert (found[name] > 0).all(), name
@@ -92,6 +96,37 @@ def test_a_rig_says_what_is_averaged_over(surface_file, tmp_path, capsys):
     refused(call(capsys, "roughness", head, "--rig", "best/sandwave"), "peak_dn")
     refused(call(capsys, "roughness", head, "--rig", "paper/board", "--pixel", 2), "--rig")
     refused(call(capsys, "roughness", surface_file, "--rig", "paper/board"), "head frame")
+
+
+@pytest.mark.parametrize("points", [0, 1, 7])
+def test_a_profile_of_few_points_is_a_hole(surface_file, points):
+    """One of 64 that cannot be joined to a curve: a frame without a line, or with little of it."""
+    surface = load_surface(surface_file)
+    status = surface.status.copy()
+    status[20, points:] = Status.NO_PEAK
+    xyz_mm = np.where((status == Status.OK)[..., np.newaxis], surface.xyz_mm, np.nan)
+    patch = patch_of_profiles(replace(surface, xyz_mm=xyz_mm, status=status))
+    assert np.flatnonzero(~patch.seen.any(axis=1)).tolist() == [20]
+    assert patch.seen.mean() == pytest.approx(63 / 64)
+
+
+@pytest.mark.parametrize("cell", ["1", "2", "40"])
+def test_cells_that_are_too_small_or_too_few_name_a_size_that_serves(surface_file, capsys, cell):
+    """Points 2 mm apart: nine lie in a cell of 6 mm, of which 21 lie side by side."""
+    code, _, err = call(capsys, "roughness", surface_file, "--cell", cell)
+    assert code == 1
+    found = re.search(r"a cell needs 9 points: cells of ([\d.]+) mm serve", err)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(6.0, rel=0.1)
+    assert patch_of_cells(load_surface(surface_file), float(found[1])).seen.mean() >= 0.5
+
+
+def test_a_surface_too_small_for_any_cells_says_so(surface_file):
+    small = load_surface(surface_file)
+    cut = {name: getattr(small, name)[:30, :30] for name in ("xyz_mm", "sigma_x_mm", "status")}
+    small = replace(small, sigma_z_mm=cut["sigma_x_mm"], position_mm=small.position_mm[:30], **cut)
+    with pytest.raises(MeasurementError, match=r"9 points: no size of cells serves"):
+        patch_of_cells(small, 2.0)
 
 
 def test_what_does_not_fit_is_refused(surface_file, tmp_path, capsys):

@@ -10,6 +10,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import given, settings, strategies as st
 from peak_memory import refused_within
 
@@ -242,12 +243,25 @@ def test_numbers_that_look_like_a_heap_are_read(saved: Path, tmp_path: Path) -> 
     assert np.array_equal(load_surface(path).xyz_mm, z)
 
 
-@settings(max_examples=150)
+@pytest.fixture(scope="module")
+def classic(saved: Path) -> Path:
+    """The same as NetCDF-3."""
+    path = saved.with_name("classic.nc")
+    with xr.open_dataset(saved, engine="h5netcdf") as data:
+        data.to_netcdf(path, engine="scipy")
+    return path
+
+
+@settings(max_examples=75)
+@pytest.mark.parametrize("kind", ["saved", "classic"])
 @given(data=st.data())
 def test_a_mutated_surface_is_read_or_refused(
-    saved: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+    request: pytest.FixtureRequest,
+    tmp_path_factory: pytest.TempPathFactory,
+    kind: str,
+    data: st.DataObject,
 ) -> None:
-    changed = bytearray(saved.read_bytes())
+    changed = bytearray(request.getfixturevalue(kind).read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         changed[data.draw(st.integers(0, len(changed) - 1))] = data.draw(st.integers(0, 255))
     end = data.draw(st.just(len(changed)) | st.integers(0, len(changed)))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from netcdf_forms import stumbling_blocks
 from study_examples import OUTPUTS, strange_results, study_results
 
 from lscan.errors import InputError
@@ -70,6 +71,7 @@ def test_a_number_that_is_missing_is_refused_by_its_place(tmp_path: Path) -> Non
 def test_every_run_is_in_the_netcdf_to_the_last_bit(tmp_path: Path) -> None:
     _, runs = study_results()
     (tmp_path / "runs.nc").write_bytes(runs_netcdf(runs, "seasons"))
+    assert stumbling_blocks(tmp_path / "runs.nc") == []
     with xr.open_dataset(tmp_path / "runs.nc", engine="h5netcdf") as data:
         assert data.attrs["Conventions"] == "CF-1.11"
         np.testing.assert_array_equal(data["number"], runs.rows)
