@@ -60,11 +60,15 @@ def reconstruct(
     from lscan.records import has_value
     from lscan.surface import save_points, save_surface
     from lscan.surface.align.keptalignment import save_alignment as keep_alignment
+    from lscan.surface.files import require_storable
 
     require_folders(output, points, save_alignment)
     if alignment and save_alignment:
         raise InputError("goes without --alignment", where="--save-alignment")
     opened, plane_map = open_calibrated(run, calibration, shaft, trust)
+    camera, axis = opened.rig_file.rig.camera, opened.rig_file.rig.stripe.axis
+    columns = camera.width_px if axis == "columns" else camera.height_px
+    require_storable(output, len(opened), columns)  # known now, not after hours
     piece = require_piece(opened, Sandwave) if save_alignment else None
     built = _reconstructed(opened, plane_map, alignment)
     surface = built.surface

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import h5netcdf
 import h5py
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +37,10 @@ PACKING = {
 }  # fmt: skip
 """Attributes of packed numbers and of missing ones, and how many numbers each is at most."""
 
-NOT_WRITTEN = {"f4": 9.969209968386869e36, "f8": 9.969209968386869e36, "i2": -32767} | {
-    "i4": -(2**31) + 1,
-    "u2": 2**16 - 1,
-    "u4": 2**32 - 1,
-}
+NOT_WRITTEN = {
+    "i2": -(2**15) + 1, "i4": -(2**31) + 1, "u2": 2**16 - 1, "u4": 2**32 - 1,
+    "f4": 9.969209968386869e36, "f8": 9.969209968386869e36,
+}  # fmt: skip
 """By types, what stands where nothing was written and the file names no value for it."""
 
 _COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
@@ -75,6 +73,8 @@ def netcdf_bytes(arrays: Mapping[str, NetcdfArray], attributes: Mapping[str, Any
     arrays : mapping, by name; one that is called as its dimension has a value everywhere
     attributes : mapping, of the file; Conventions are added
     """
+    import h5netcdf  # here: it takes a while, and most commands write none
+
     stream = io.BytesIO()
     with h5netcdf.File(stream, "w") as file:
         for name, array in arrays.items():

@@ -113,6 +113,15 @@ def test_reconstruct_says_of_a_run_of_the_board_that_there_is_no_surface(
     assert not (tmp_path / "s.nc").exists()
 
 
+def test_reconstruct_refuses_more_points_than_a_file_holds_before_it_begins(
+    command: Command, calibrated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lscan.surface.files.MOST_POINTS", 600)
+    code, _, err = command("reconstruct", calibrated / "board", "-o", str(tmp_path / "s.nc"))
+    assert (code, err.count("\n")) == (2, 1)
+    assert "too many points for a file (got '1 profiles of 640 columns'; allowed: 600" in err
+
+
 def test_reconstruct_notes_that_few_columns_hold_a_line(command: Command, tmp_path: Path) -> None:
     flat_run(tmp_path / "few", 1, lit=slice(300, 308))
     code, _, err = command("reconstruct", tmp_path / "few", "-o", str(tmp_path / "s.nc"))
