@@ -127,7 +127,7 @@ def _read_classic(content: bytes, path: Path, wanted: _Wanted) -> _Read:
                 found = file.variables[name]
                 _require_numbers(name, found.data, found.shape, path)
                 notes = {key: getattr(found, key) for key in MEANING if hasattr(found, key)}
-                arrays[name] = NetcdfArray(found.dimensions, np.array(found.data), notes)
+                arrays[name] = NetcdfArray(tuple(found.dimensions), np.array(found.data), notes)
             return arrays, {key: getattr(file, key) for key in ATTRIBUTES if hasattr(file, key)}
 
 

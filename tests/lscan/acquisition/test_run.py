@@ -23,7 +23,7 @@ from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
 from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError
-from lscan.files.disk import write_atomically
+from lscan.files.disk import remove_temporaries, temporary_name, write_atomically
 from lscan.records import Frame
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
@@ -320,6 +320,17 @@ def test_an_atomic_write_keeps_the_old_file_when_it_fails(
     with pytest.raises(InputError, match="a: cannot be written: No space left"):
         write_atomically(tmp_path / "a", b"new")
     assert folder_bytes(tmp_path) == {"a": b"old"}
+
+
+def test_what_a_killed_writer_left_is_removed_and_nothing_else(tmp_path: Path) -> None:
+    killed, other = tmp_path / temporary_name("a"), tmp_path / ".notes.tmp"
+    (tmp_path / temporary_name("folder")).mkdir()
+    (tmp_path / temporary_name("link")).symlink_to(other)
+    for file in (killed, other):
+        file.write_bytes(b"half")
+    remove_temporaries(tmp_path)
+    assert folder_bytes(tmp_path) == {".notes.tmp": b"half"}
+    assert list(tmp_path.iterdir()) == [other]
 
 
 def test_of_two_writers_at_once_both_write_the_whole_file(
