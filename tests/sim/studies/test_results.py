@@ -1,6 +1,7 @@
 """The files of a study: read back as written, and readable by others."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -91,3 +92,13 @@ def test_every_run_is_in_the_netcdf_to_the_last_bit(tmp_path: Path) -> None:
                 error.values.reshape(-1, output.size), runs.values[:, where]
             )
             assert error.attrs["units"] == UDUNITS.get(output.unit, output.unit)
+
+
+def test_a_unit_per_length_is_no_area_to_udunits(tmp_path: Path) -> None:
+    """It reads "mm per 300 mm" as (mm / 300) mm; the expected is what cf-units 3.3.1 takes for 1."""
+    _, runs = study_results()
+    first, *others = runs.outputs
+    changed = replace(runs, outputs=(replace(first, unit="mm per 300 mm"), *others))
+    (tmp_path / "runs.nc").write_bytes(runs_netcdf(changed, "seasons"))
+    with xr.open_dataset(tmp_path / "runs.nc", engine="h5netcdf") as data:
+        assert data[f"error: {first.name}"].attrs["units"] == "mm/(300 mm)"
