@@ -156,7 +156,7 @@ def unpacked(array: NetcdfArray, where: str) -> Floats:
         scale, offset = (float(notes.get(key, [one])[0]) for key, one in _UNPACKED.items())
         if not (np.isfinite([scale, offset]).all() and scale):
             value = f"{scale:g}, {offset:g}"
-            raise InputError("scale_factor, add_offset: cannot be", where=where, value=value)
+            raise InputError("scale_factor, add_offset: no packing", where=where, value=value)
         values = values.astype(float) * scale + offset
     missing = _missing(stored, values, notes, where)
     return np.where(missing, np.nan, values) if missing.any() else values

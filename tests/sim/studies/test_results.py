@@ -95,7 +95,7 @@ def test_every_run_is_in_the_netcdf_to_the_last_bit(tmp_path: Path) -> None:
 
 
 def test_a_unit_per_length_is_no_area_to_udunits(tmp_path: Path) -> None:
-    """It reads "mm per 300 mm" as (mm / 300) mm; the expected is what cf-units 3.3.1 takes for 1."""
+    """It reads "mm per 300 mm" as (mm / 300) mm, the brackets as 1/300 (cf-units 3.3.1)."""
     _, runs = study_results()
     first, *others = runs.outputs
     changed = replace(runs, outputs=(replace(first, unit="mm per 300 mm"), *others))
