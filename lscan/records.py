@@ -333,8 +333,8 @@ class Provenance:
     ----------
     rig : str, name of the rig
     pictures : int, number of pictures
-    extractor : str, by which the line was found
-    plane_map : str, name of the plane map
+    extractor : str, by which the line was found; with its package where it is not lscan's
+    plane_map : str, name of the plane map, likewise
     calibration_sha256 : str, in hexadecimal, SHA-256 of the map's parameters and of what it was
         carried to: the water, and what may have changed since
     """

@@ -17,7 +17,7 @@ import json
 import os
 import platform
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Literal
@@ -27,8 +27,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, TypeAdapter
 
 from lscan.config.documents import Document, Strict, check, read_json
-from lscan.config.plugins import installed, names_code
-from lscan.config.rig import Plan
+from lscan.config.plugins import others_versions, refuse_code
+from lscan.config.rig import Plan, Rig
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import list_names, read_bytes, require_within
@@ -256,7 +256,8 @@ def open_run(path: Path | str, trusted: bool = False) -> Run:
     path = Path(path)
     manifest, rig_file = read_manifest(path)
     if not trusted:
-        _refuse_code(rig_file)
+        allowed = "look at it, and say --trust where you trust it"
+        refuse_code(rig_file.rig.stripe.extractor, rig_file.source, allowed)
     plan = manifest.plan
     rows, planned = _read_rows(path / TABLE, plan), plan.frames
     if len(rows) > planned or (manifest.state == "complete" and len(rows) < planned):
@@ -311,27 +312,33 @@ def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
     return manifest, rig_file
 
 
-def software_versions() -> Versions:
-    """Name to version of what writes run folders here."""
-    return {
+def software_versions(plugins: Iterable[tuple[str, str]] = ()) -> Versions:
+    """Name to version of what works here, the packages of plug-ins that are not lscan's among them.
+
+    Parameters
+    ----------
+    plugins : iterable of tuple, group and name of each that takes part
+    """
+    versions = {
         "lscan": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
+    for group, name in plugins:
+        versions |= others_versions(group, name)
+    return versions
 
 
-def _refuse_code(rig_file: RigFile) -> None:
-    """Raise InputError where a run's rig names a function by its module: it would be run."""
-    name = rig_file.rig.stripe.extractor
-    if names_code(name):
-        raise InputError(
-            "stripe.extractor: names code, which this run folder would have run; look at it, and "
-            "say --trust where you trust it",
-            where=rig_file.source,
-            value=name,
-            allowed=f"{', '.join(installed('lscan.extractors'))}; any with --trust",
-        )
+def recording_versions(rig: Rig) -> Versions:
+    """As ``software_versions``, of what writes a run of a rig: its drivers take part.
+
+    Parameters
+    ----------
+    rig : Rig
+    """
+    drivers = {"lscan.cameras": rig.camera.driver, "lscan.tracks": rig.track.driver}
+    return software_versions(drivers.items())
 
 
 def most_table_bytes(plan: Plan) -> int:

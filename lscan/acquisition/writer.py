@@ -29,7 +29,7 @@ from lscan.acquisition.run import (
     most_table_bytes,
     open_run,
     read_manifest,
-    software_versions,
+    recording_versions,
 )
 from lscan.acquisition.samerig import require_same_rig
 from lscan.config.rigfile import RigFile
@@ -263,7 +263,7 @@ def _new_manifest(rig_file: RigFile) -> Manifest:
             where=rig_file.source,
             allowed="text, finite numbers, true, false, lists and tables",
         ) from error
-    software, plan = [software_versions()], rig_file.rig.plan
+    software, plan = [recording_versions(rig_file.rig)], rig_file.rig.plan
     return Manifest(state="scanning", software=software, plan=plan, rig=rig_file.document)
 
 
@@ -315,8 +315,8 @@ def _recover(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
     if manifest.state == "scanning":
         _remove_temporaries(path)
         cut_torn_line(path / TABLE, most_table_bytes(manifest.plan))
-        if manifest.software[-1] != software_versions():
-            _change_manifest(path, software=[*manifest.software, software_versions()])
+        if manifest.software[-1] != (now := recording_versions(rig_file.rig)):
+            _change_manifest(path, software=[*manifest.software, now])
     run = open_run(path, trusted=True)  # its rig is the one the user gave
     run.verify()
     return run.rows

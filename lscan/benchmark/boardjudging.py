@@ -14,7 +14,7 @@ from lscan.benchmark.judging import SURE, CaseSums, JudgedExtractor, normal_scor
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.config.board import Board
-from lscan.config.plugins import find_plugin_or_function, names_code
+from lscan.config.plugins import find_plugin_or_function, names_code, raised
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, LscanError
 from lscan.records import BoardReading, Bytes, Floats, Marks, Mask, Status
@@ -147,9 +147,7 @@ def _tried(name: str, tried: Callable[..., Any], *given: Any) -> tuple[Any, floa
     except LscanError:
         found = None
     except Exception as error:  # a stranger's may raise anything
-        raise InputError(
-            f"{name} failed: {type(error).__name__}: {error}", where="bench"
-        ) from error
+        raise InputError(f"{name} failed: {raised(error)}", where="bench") from error
     return found, time.process_time() - began
 
 

@@ -46,7 +46,7 @@ class Benchmark:
 
 def registered_extractors() -> tuple[str, ...]:
     """The names of all extractors installed, in alphabetical order."""
-    return tuple(installed("lscan.extractors"))
+    return installed("lscan.extractors")
 
 
 def run_bench(

@@ -10,12 +10,14 @@ from lscan.benchmark.judging import SUMS, CaseSums
 from lscan.benchmark.suiterun import SuiteRun, suite_rows
 from lscan.benchmark.worst import draw_worst
 from lscan.config.documents import read_json
+from lscan.config.plugins import others_versions
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.jsontext import write_json
 
 VERSION = 1
 MOST_SAVED_BYTES = 2**28
+_GROUPS = ("lscan.extractors", "lscan.boardreaders", "lscan.planemaps")
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,12 @@ def saved_run(run: SuiteRun, by: Sequence[str] = ()) -> dict[str, Any]:
     return {
         "version": VERSION,
         "suite": run.identity,
+        "packages": {
+            package: version
+            for one in run.judged
+            for group in _GROUPS
+            for package, version in others_versions(group, one.extractor).items()
+        },
         "rows": [asdict(row) for row in suite_rows(run, by)],
         "sums": list(SUMS),
         "extractors": {

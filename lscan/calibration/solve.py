@@ -8,6 +8,7 @@ from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.outliers import ScreenedReading, screened
 from lscan.calibration.region import spacing_px
 from lscan.camera.covariance import pixel_derivatives
+from lscan.config.plugins import others_versions
 from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Floats
 from lscan.version import __version__
@@ -130,7 +131,8 @@ def calibration_by(
     optics : OpticsSection, what was known of the camera
     """
     mm, px = residuals(plane_map, sound.reading)
-    software = f"lscan {__version__}"
+    versions = {"lscan": __version__, **others_versions("lscan.planemaps", map_name)}
+    software = ", ".join(f"{name} {version}" for name, version in versions.items())
     return Calibration(
         map_name, plane_map, sound.reading, mm, px, optics, software, sound.outliers_mm
     )

@@ -5,16 +5,16 @@ import sys
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 
 import cv2
 
+from lscan.config.plugins import find_entry, find_plugin, installed
 from lscan.config.rigfile import RigFile, drivers_of
 from lscan.devices.api import CapabilityReporting, Fact
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
 from lscan.devices.opencv_camera.settings import fourcc_text
-from lscan.errors import LscanError
+from lscan.errors import InputError
 
 SIZES_PX = ((320, 240), (640, 480), (800, 600), (1280, 720), (1920, 1080), (3840, 2160))
 """Sizes a video device is asked for: those common among webcams."""
@@ -96,9 +96,9 @@ def video_devices(
 def drivers() -> list[Driver]:
     """The camera and track drivers that are installed; one that cannot be loaded says why."""
     return [
-        Driver(kind, entry.name, _what_it_does(entry.module))
+        Driver(kind, name, _what_it_does(f"lscan.{kind}s", name))
         for kind in ("camera", "track")
-        for entry in sorted(entry_points(group=f"lscan.{kind}s"), key=lambda entry: entry.name)
+        for name in installed(f"lscan.{kind}s")
     ]
 
 
@@ -139,12 +139,13 @@ def _capabilities(driver: object, rig_file: RigFile) -> dict[str, Fact]:
     return driver.capabilities(rig_file) if isinstance(driver, CapabilityReporting) else {}
 
 
-def _what_it_does(module: str) -> str:
-    """The first line of the driver's module, which says what the driver is."""
+def _what_it_does(group: str, name: str) -> str:
+    """The first line of the driver's module, which says what the driver is, or why it is none."""
     try:
-        document = importlib.import_module(module).__doc__ or ""
-    except (ImportError, LscanError) as error:
-        return f"cannot be loaded: {error}"
+        find_plugin(group, name)
+    except InputError as error:
+        return error.what
+    document = sys.modules[find_entry(group, name).module].__doc__ or ""
     return document.strip().partition("\n")[0]
 
 

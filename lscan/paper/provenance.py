@@ -6,7 +6,7 @@ been rendered as well, but no run can know.
 
 from collections.abc import Collection, Mapping
 
-from lscan.acquisition.run import Run
+from lscan.acquisition.run import Run, Versions, software_versions
 from lscan.paper.experiment import Chain, Experiment, PictureSource
 
 PARTS = ("board", "groove", "sandwave")
@@ -15,6 +15,20 @@ PAPERS_EXTRACTORS = {"centroid", "centroid-relative"}
 _TANK_DRIVER = "sim"
 
 Sources = Mapping[str, PictureSource]
+
+
+def chain_versions(experiment: Experiment) -> Versions:
+    """Name to version of what made an experiment's figures of its pictures.
+
+    Parameters
+    ----------
+    experiment : Experiment, its chain and best chain count
+    """
+    chains = [one.chain for one in (experiment, experiment.best) if one is not None]
+    extractors = [("lscan.extractors", name) for chain in chains for name in chain.extractors]
+    return software_versions(
+        [*extractors, *(("lscan.planemaps", chain.plane_map) for chain in chains)]
+    )
 
 
 def picture_source(run: Run) -> PictureSource:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lscan.acquisition.run import software_versions
 from lscan.figures.reportfigure import ReportFigure
 from lscan.files.disk import write_atomically
 from lscan.paper import provenance
@@ -64,7 +63,7 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
         noise=provenance.noise_words(simulated.values()),
         chains=provenance.describe_chains(experiment),
         names=provenance.chain_names(experiment.chain),
-        versions=software_versions(),
+        versions=provenance.chain_versions(experiment),
         seconds=experiment.seconds,
         checks=checks(experiment, bars),
         checks_note=provenance.note(sources),

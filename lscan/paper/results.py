@@ -4,12 +4,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from lscan.acquisition.run import software_versions
 from lscan.calibration.file import save_calibration
 from lscan.files.disk import make_folder
 from lscan.files.jsontext import write_json
 from lscan.measurement import lengths_json
 from lscan.paper.experiment import Experiment
+from lscan.paper.provenance import chain_versions
 from lscan.paper.report import write_report
 from lscan.surface import save_points, save_surface
 
@@ -33,7 +33,7 @@ def results_json(experiment: Experiment) -> dict[str, Any]:
     return {
         **({} if experiment.quick is None else {"quick": experiment.quick}),
         "scene": experiment.scene,
-        "versions": software_versions(),
+        "versions": chain_versions(experiment),
         "seconds": {name: round(value, 2) for name, value in experiment.seconds.items()},
         "pictures": {part: source.as_json() for part, source in experiment.sources.items()},
         "control_points": {name: value for name, value in points.items() if value is not None},

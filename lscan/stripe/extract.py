@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.config.plugins import find_plugin_or_function
+from lscan.config.plugins import find_plugin_or_function, frames_of_others, raised
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.records import Bytes, Floats, GreyValues, Mask, Status, Stripe
@@ -196,11 +196,10 @@ def _called(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:
         stripes = stripes_by(extractor, given)
     except LscanError:
         raise
-    except TypeError as error:
-        raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
     except Exception as error:
-        cause = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InputError(f"failed: {cause}", where=where) from error
+        if isinstance(error, TypeError) and not frames_of_others(error):
+            raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
+        raise InputError(f"failed: {raised(error)}", where=where) from error
     for stripe, (image, *_) in zip(stripes, pictures, strict=True):
         require_stripe(stripe, image.shape, where)
     return [replace(stripe, axis=settings.axis) for stripe in stripes]

@@ -6,10 +6,10 @@ import io
 import re
 import zipfile
 from collections.abc import Mapping, Sequence
+from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
-from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, read_bytes, write_atomically
 from lscan.suites.content import MOST_SUITE_BYTES
@@ -53,7 +53,7 @@ def write_suite_wheel(archives: Sequence[Path], folder: Path, name: str, version
             raise InputError(f"is no {what} of a package", where=f"--{what}", value=value,
                              allowed=allowed)  # fmt: skip
     package = re.sub(r"[-_.]+", "_", name).lower()
-    of_suites = {entry.value for entry in installed(GROUP).values()}
+    of_suites = {entry.value for entry in entry_points(group=GROUP)}
     if package not in of_suites and find_spec(package) is not None:
         raise InputError("is the name of another package", where="--name", value=name,
                          allowed="such as lscan-suites")  # fmt: skip

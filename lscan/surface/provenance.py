@@ -9,6 +9,7 @@ from pydantic import Field
 from lscan.calibration.api import PlaneMap
 from lscan.camera.water import stated_water
 from lscan.config.documents import Strict
+from lscan.config.plugins import with_package
 from lscan.config.rig import Rig
 from lscan.records import Provenance
 
@@ -42,7 +43,7 @@ def provenance_of(rig: Rig, pictures: int, plane_map: PlaneMap) -> Provenance:
     return Provenance(
         rig=rig.name,
         pictures=pictures,
-        extractor=rig.stripe.extractor,
-        plane_map=plane_map.name,
+        extractor=with_package("lscan.extractors", rig.stripe.extractor),
+        plane_map=with_package("lscan.planemaps", plane_map.name),
         calibration_sha256=hashlib.sha256(content.encode()).hexdigest(),
     )

@@ -41,7 +41,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Name the mark, and refuse to write baselines where two processes may write one file."""
+    """Name the mark; refuse other packages' plug-ins of our name, and baselines of two processes."""
+    refuse_namesakes()
     config.addinivalue_line("markers", f"{MARK}(name): suite of the lscan fixtures of a test")
     config.stash[WRITTEN] = {}
     if not config.getoption(UPDATE):
@@ -52,6 +53,18 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(
             f"{UPDATE} would test nothing, and CI is set: write baselines by hand and commit them"
         )
+
+
+def refuse_namesakes() -> None:
+    """Refuse to test where two packages have a plug-in of one name: pytest would load but one."""
+    from lscan.config.plugins import find_entry, installed
+    from lscan.errors import InputError
+
+    for name in {"lscan", "lscan-tank"}.intersection(installed("pytest11")):
+        try:
+            find_entry("pytest11", name, where="pytest")
+        except InputError as error:
+            raise pytest.UsageError(str(error)) from error
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -15,6 +15,13 @@ if TYPE_CHECKING:
     from lscan.suites import BoardCase, SuiteCase
 
 
+def pytest_configure() -> None:
+    """Refuse to go on where another package's plug-in has the name of one of lscan's."""
+    from lscan.testing.plugin import refuse_namesakes
+
+    refuse_namesakes()
+
+
 class TankPictures(Protocol):
     """Renders a scene, or shows it again: each content once in a run of pytest, and process."""
 

@@ -136,7 +136,7 @@ def _wrong_values(rig: GoodRig, place: FieldPlace) -> Iterator[WrongField]:
     for value in wrong_values(place.schema, place.value):
         yield _changed(rig, place.keys, value, words)
     if place.keys in NAMED:
-        names = tuple(installed(NAMED[place.keys]))
+        names = installed(NAMED[place.keys])
         yield _changed(rig, place.keys, "no such name", names)
 
 

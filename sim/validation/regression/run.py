@@ -52,6 +52,7 @@ def run_regression(
 
 def _rendered(suite: str) -> list[Row]:
     """No row: rendered into the user's cache, a suite that is not drawn, nor a package's."""
-    if suite == NAME and suites_found().get(NAME, suite_cache()).is_relative_to(suite_cache()):
+    cache = suite_cache()
+    if suite == NAME and (cache is None or suites_found().get(NAME, cache).is_relative_to(cache)):
         make_cached_suite(load_suite_spec(NAME), NAME, afresh=True)
     return []

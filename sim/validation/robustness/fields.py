@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
-from lscan.config.plugins import installed
+from lscan.config.plugins import find_plugin, installed
 from lscan.config.rigfile import load_rig
 from lscan.config.toml import toml_text
 from lscan.errors import InputError
@@ -85,8 +85,8 @@ def devices_guarded() -> Iterator[list[str]]:
     targets = ["cv2.VideoCapture", "serial.Serial", "sim.devices.SimCamera", "sim.devices.SimTrack"]
     with ExitStack() as stack:
         for group in ("lscan.cameras", "lscan.tracks"):
-            for name, entry in installed(group).items():
-                kind = type(entry.load())
+            for name in installed(group):
+                kind = type(find_plugin(group, name))
                 stack.enter_context(patch.object(kind, "open", opening(f"{group} {name}")))
         for target in targets:
             stack.enter_context(patch(target, opening(target)))

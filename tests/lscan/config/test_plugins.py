@@ -3,13 +3,30 @@
 from importlib.metadata import entry_points
 from pathlib import Path
 
+import numpy as np
 import pytest
+import suite_cases
+from command_line import call, refused
+from fake_devices import fake_rig
+from plugin_packages import install_package
 
+import sim.datasets.plugin
+from lscan.acquisition.run import recording_versions
 from lscan.acquisition.scan import open_devices
-from lscan.config.plugins import find_plugin, find_plugin_or_function, installed
+from lscan.benchmark.suiterun import run_suite
+from lscan.config.plugins import (
+    find_plugin,
+    find_plugin_or_function,
+    installed,
+    others_versions,
+    with_package,
+)
 from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
+from lscan.stripe import extract_stripe
 from lscan.stripe.extractors.paper import centroid
+from lscan.suites import find_suite, suites_found
+from lscan.surface.provenance import provenance_of
 
 GROUPS = ("lscan.cameras", "lscan.tracks", "lscan.extractors", "lscan.planemaps")
 
@@ -70,3 +87,119 @@ def test_a_driver_no_longer_installed_is_named_with_its_file(device: str) -> Non
     message = rf"there\.toml: {device}\.driver: no such {device} driver \(got 'gone'; allowed: "
     with pytest.raises(InputError, match=message), open_devices(rig_file):
         pass
+
+
+@pytest.mark.parametrize(
+    ("group", "name"),
+    [
+        ("lscan.cameras", "sim"),
+        ("lscan.tracks", "grbl"),
+        ("lscan.extractors", "ml"),
+        ("lscan.planemaps", "refractive"),
+        ("lscan.boardreaders", "read_board"),
+    ],
+)
+def test_two_plugins_of_a_name_are_refused_by_their_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str, name: str
+) -> None:
+    """Which of them was meant is not known; all other names are found as ever."""
+    install_package(monkeypatch, tmp_path, "rival", f"[{group}]\n{name} = rival:made\n", "made = 1")
+    with pytest.raises(InputError) as caught:
+        find_plugin(group, name, where="rig.toml")
+    assert str(caught.value).startswith("rig.toml: lscan ")
+    assert " and rival 2.0 register a " in str(caught.value)
+    assert "uninstall the other" in str(caught.value)
+    assert all(find_plugin(group, other) is not None for other in installed(group) if other != name)
+
+
+def test_two_suites_of_a_name_are_refused_by_their_packages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for package in ("one_suites", "two_suites"):
+        entries = f"[lscan.suites]\nsea = {package}\n"
+        install_package(monkeypatch, tmp_path / package, package, entries)
+    with pytest.raises(InputError, match=r"one_suites 2\.0 and two_suites 2\.0 register a suite"):
+        find_suite("sea")
+    assert "sea" not in suites_found()
+
+
+def test_a_broken_plugin_breaks_no_other_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where it is asked for, its package and entry point are named, and no cure for another ill."""
+    entries = "".join(
+        f"[lscan.{group}]\nbroken = wreck:made\n"
+        for group in ("cameras", "tracks", "extractors", "planemaps", "boardreaders")
+    )
+    entries += "[lscan.suites]\nbroken = wreck\n"
+    install_package(monkeypatch, tmp_path, "wreck", entries, "import nowhere_to_be_found")
+    suite = tmp_path / "suite"
+    suite.mkdir()
+    suite_cases.drawn_suite(suite, count=1)
+    assert len(run_suite(str(suite), ["max"]).judged) == 1
+    for command in (("suite", "verify", suite), ("suite", "list"), ("devices",)):
+        code, _, err = call(capsys, *command)
+        assert code == 0, err
+    words = ("the package wreck 2.0", "names broken = wreck", "wreck.py line 1", "uninstalled")
+    refused(call(capsys, "suite", "show", "broken"), "lscan.suites: ", *words)
+    for group in (*GROUPS, "lscan.boardreaders"):
+        with pytest.raises(InputError) as caught:
+            find_plugin(group, "broken")
+        assert all(word in str(caught.value) for word in words)
+        assert "lscan[tank]" not in str(caught.value)
+
+
+def test_what_a_strangers_extractor_raises_names_its_file_and_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The line of its own that was at work, not that of the library it called."""
+    code = "import numpy as np\n\ndef found(image, settings, clipped):\n    np.linalg.inv(image)\n"
+    code += "\ndef mistyped(image, settings, clipped):\n    return 1 + None\n"
+    install_package(monkeypatch, tmp_path, "theirs", "", code)
+    settings = fake_rig().rig.stripe
+    picture = np.zeros((8, 4), np.uint8)
+    for function, said in {
+        "found": r"failed: LinAlgError: .* \(.*theirs\.py line 4\)$",
+        "mistyped": r"failed: TypeError: .* \(.*theirs\.py line 7\)$",
+    }.items():
+        named = settings.model_copy(update={"extractor": f"theirs:{function}"})
+        with pytest.raises(InputError, match=said):
+            extract_stripe(picture, named)
+
+
+def test_what_is_written_names_the_packages_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Run folder, surface, calibration: lscan's own plug-ins add nothing to its version."""
+    entries = "[lscan.extractors]\nshiny = theirs:found\n[lscan.planemaps]\nbent = theirs:bent\n"
+    entries += "[lscan.cameras]\nraspberry = theirs:camera\n"
+    install_package(monkeypatch, tmp_path, "theirs", entries, "found = bent = camera = print")
+    assert with_package("lscan.extractors", "shiny") == "shiny (theirs 2.0)"
+    assert with_package("lscan.extractors", "theirs:found") == "theirs:found (theirs 2.0)"
+    assert with_package("lscan.planemaps", "bent-2") == "bent-2 (theirs 2.0)"
+    assert with_package("lscan.planemaps", "graticule-2-norulers") == "graticule-2-norulers"
+    assert others_versions("lscan.extractors", "nobody:knows") == {}
+    rig = fake_rig().rig
+    camera = rig.camera.model_copy(update={"driver": "raspberry"})
+    stripe = rig.stripe.model_copy(update={"extractor": "shiny"})
+    theirs = rig.model_copy(update={"camera": camera, "stripe": stripe})
+    assert recording_versions(theirs) == {**recording_versions(rig), "theirs": "2.0"}
+
+    class Bent:
+        name = "bent-2"
+
+        def parameters(self) -> dict[str, float]:
+            return {}
+
+    kept = provenance_of(theirs, 3, Bent())  # type: ignore[arg-type]
+    assert (kept.extractor, kept.plane_map) == ("shiny (theirs 2.0)", "bent-2 (theirs 2.0)")
+
+
+@pytest.mark.parametrize("name", ["lscan", "lscan-tank"])
+def test_a_plugin_of_pytest_with_our_name_ends_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Pytest itself loads whichever it meets first, and says nothing of the other."""
+    install_package(monkeypatch, tmp_path, "rival", f"[pytest11]\n{name} = rival\n")
+    with pytest.raises(pytest.UsageError, match=r"lscan .* and rival 2\.0 register a plug-in of"):
+        sim.datasets.plugin.pytest_configure()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import typer
 from fake_capture import World
+from plugin_packages import install_package
 from typer.testing import CliRunner
 
 from lscan.cli import devices as devices_cli
@@ -87,12 +88,22 @@ def test_the_drivers_say_what_they_are() -> None:
     assert ("track", "replay") in found
 
 
-def test_a_driver_that_cannot_be_loaded_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(module: str) -> Any:
-        raise ImportError("no module named 'libcamera'")
+def test_a_driver_that_cannot_be_loaded_says_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And which package it is from; the others are listed as ever."""
+    entries = "[lscan.cameras]\nraspberry = picams:driver\n"
+    install_package(monkeypatch, tmp_path, "picams", entries, "import libcamera_of_nobody")
+    found = {driver.name: driver.does for driver in drivers() if driver.kind == "camera"}
+    assert found.pop("raspberry").startswith(
+        "cannot be loaded from the package picams 2.0: ModuleNotFoundError: "
+        f"No module named 'libcamera_of_nobody' ({tmp_path}/picams.py line 1)"
+    )
+    assert not any("cannot be loaded" in does for does in found.values())
 
-    monkeypatch.setattr(listing.importlib, "import_module", broken)
-    assert all(driver.does.startswith("cannot be loaded: no module") for driver in drivers())
+
+def test_without_pyserial_no_port_is_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(listing.sys.modules, "serial.tools.list_ports", None)
     assert serial_ports() is None
 
 

@@ -217,7 +217,7 @@ strange = spoilt("status", 77)
         ("certain", r"bad sigma_px in column 3 \(got 0\.0"),
         ("unsure", r"bad sigma_px in column 3 \(got nan"),
         ("strange", r"bad status in column 3 \(got 77; allowed: 0 OK"),
-        ("failing", r"failed: ValueError: two lines$"),
+        ("failing", r"failed: ValueError: two lines \(.*test_extract\.py line \d+\)$"),
         ("scribbling", r"failed: ValueError: .*read-only"),
     ],
 )

@@ -12,9 +12,9 @@ import pytest
 import suite_cases
 from command_line import call
 from hypothesis import given, settings, strategies as st
+from plugin_packages import install_package
 
 import lscan.suites.find
-from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.files.pictures import encoded
 from lscan.suites import LightLayers, open_suite, pack_suite, suites_found, verify_suite
@@ -341,21 +341,14 @@ def test_suites_are_found_in_the_cache(archive, tmp_path, monkeypatch, capsys):
 
 def test_suites_are_found_by_entry_point(folder, tmp_path, monkeypatch):
     """A package of another distribution names itself; the suite lies in it."""
-    package, info = tmp_path / "somebodys", tmp_path / "somebodys-1.dist-info"
+    package = tmp_path / "somebodys"
     package.mkdir()
-    info.mkdir()
     (package / "__init__.py").touch()
     pack_suite(folder, package / "theirs.zip")
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: somebodys\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[lscan.suites]\ntheirs = somebodys\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-    installed.cache_clear()
-    try:
-        assert suites_found()["theirs"] == package / "theirs.zip"
-        with pytest.raises(InputError, match="no such suite"):
-            lscan.suites.find.find_suite("nobodys")
-    finally:
-        installed.cache_clear()
+    install_package(monkeypatch, tmp_path, "somebodys", "[lscan.suites]\ntheirs = somebodys\n")
+    assert suites_found()["theirs"] == package / "theirs.zip"
+    with pytest.raises(InputError, match="no such suite"):
+        lscan.suites.find.find_suite("nobodys")
 
 
 def test_a_wheel_has_the_same_bytes_and_states_what_it_holds(archive, tmp_path, capsys):
