@@ -5,6 +5,7 @@ read without end; so only regular files are read, and no more of them than is al
 Writing: a crash or a full disk at any moment leaves no half file behind, and no link is followed.
 """
 
+import codecs
 import errno
 import fcntl
 import os
@@ -15,6 +16,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from lscan.errors import DiskError, InputError
 
@@ -68,25 +70,63 @@ def read_bytes(file: Path, most: int, within: Path | None = None) -> bytes:
     InputError
         Where it is missing, no regular file, larger than ``most``, or outside ``within``.
     """
-    if within is not None:
-        require_within(file, within)
-    try:
-        # Looked at before it is opened, since opening alone wakes some devices, and again after,
-        # since it may have been replaced.
-        _require_regular(file.stat(), file, most)
-        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
-        with os.fdopen(descriptor, "rb") as opened:
-            _require_regular(os.fstat(descriptor), file, most)
-            data = opened.read(most + 1)
-    except OSError as error:
-        raise _unreadable(file, error) from error
+    with open_regular(file, most, within) as opened, reading_errors(file):
+        data = opened.read(most + 1)
     if len(data) > most:  # it grew, or said nothing of its size
         raise _too_large(file, len(data), most)
     return data
 
 
+def open_regular(file: Path, most: int, within: Path | None = None) -> BinaryIO:
+    """A regular file, open for reading.
+
+    Parameters
+    ----------
+    file, most, within
+        As of ``read_bytes``.
+
+    Raises
+    ------
+    InputError
+        As ``read_bytes``.
+    """
+    if within is not None:
+        require_within(file, within)
+    with reading_errors(file):
+        # Looked at before it is opened, since opening alone wakes some devices, and again after,
+        # since it may have been replaced.
+        _require_regular(file.stat(), file, most)
+        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        opened = os.fdopen(descriptor, "rb")
+    try:
+        _require_regular(os.fstat(descriptor), file, most)
+    except InputError:
+        opened.close()
+        raise
+    return opened
+
+
+@contextmanager
+def reading_errors(where: Path) -> Iterator[None]:
+    """Turn an OSError of the block into an InputError: the file, the reason, what to do.
+
+    Parameters
+    ----------
+    where : Path, the file, for the error
+
+    Raises
+    ------
+    InputError
+        In place of the OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise _unreadable(where, error) from error
+
+
 def read_text(file: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> str:
-    """The text of a regular file in UTF-8.
+    """The text of a regular file in UTF-8, without the byte-order mark that some programs write.
 
     Parameters
     ----------
@@ -100,10 +140,13 @@ def read_text(file: Path, most: int = MOST_TEXT_BYTES, within: Path | None = Non
     InputError
         The file is not UTF-8 text, or as ``read_bytes``.
     """
+    data = read_bytes(file, most, within)
     try:
-        return read_bytes(file, most, within).decode("utf-8")
+        return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", where=file) from error
+        wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        value = "UTF-16; save it as UTF-8" if wide else None
+        raise InputError("is not UTF-8 text", where=file, value=value) from error
 
 
 def require_within(path: Path, folder: Path) -> None:
@@ -141,10 +184,8 @@ def list_names(folder: Path) -> set[str]:
     InputError
         The folder cannot be read.
     """
-    try:
+    with reading_errors(folder):
         return {entry.name for entry in folder.iterdir()}
-    except OSError as error:
-        raise _unreadable(folder, error) from error
 
 
 def make_folder(folder: Path) -> None:
@@ -165,10 +206,40 @@ def make_folder(folder: Path) -> None:
         raise InputError(f"cannot be made a folder: {error.strerror}", where=folder) from error
 
 
-def cache_folder() -> Path:
-    """The folder ``lscan`` of the user's cache, which may not be there; XDG_CACHE_HOME moves it."""
-    home = os.environ.get("HOME") or tempfile.gettempdir()
-    return Path(os.environ.get("XDG_CACHE_HOME") or f"{home}/.cache") / "lscan"
+def cache_folder() -> Path | None:
+    """The folder of the user's cache, made where it is missing; None where there can be none.
+
+    It is ``lscan`` in $XDG_CACHE_HOME, or in ~/.cache; without HOME it lies in the temporary
+    folder, which all users share, under the user's number.  In any place it is the user's own, and
+    nobody else may look into it or write there: what it keeps is believed.
+    """
+    home, shared = os.environ.get("HOME"), Path(tempfile.gettempdir(), f"lscan-{os.getuid()}")
+    above = os.environ.get("XDG_CACHE_HOME") or (home and f"{home}/.cache")
+    folder = Path(above, "lscan") if above else shared
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = folder.stat(follow_symlinks=folder != shared)
+        if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+            return None
+        if stat.S_IMODE(status.st_mode) & 0o077:
+            folder.chmod(0o700)
+    except OSError:
+        return None
+    return folder
+
+
+def read_cached(file: Path, most: int) -> bytes | None:
+    """What a file of the cache holds; None where it is missing, too large or not the user's own.
+
+    Parameters
+    ----------
+    file : Path, in ``cache_folder()``
+    most : int, its largest size, bytes
+    """
+    with suppress(InputError, OSError):
+        if file.stat().st_uid == os.getuid():
+            return read_bytes(file, most)
+    return None
 
 
 def temporary_name(name: str) -> str:

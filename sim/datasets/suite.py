@@ -115,8 +115,12 @@ def make_cached_suite(
     InputError
         Another process makes it, or the disk refuses.
     """
-    make_folder(suite_cache())
-    file = suite_cache() / f"{name}.zip"
+    cache = suite_cache()
+    if cache is None:
+        allowed = "HOME or XDG_CACHE_HOME in a folder of one's own; or a file for the suite"
+        raise InputError("there is no cache of this user's own", value=name, allowed=allowed)
+    make_folder(cache)
+    file = cache / f"{name}.zip"
     try:
         content = open_suite(file).content
         there = not afresh and (content.made_by, content.seed) == (_maker(spec), spec.seed)

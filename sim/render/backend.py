@@ -29,7 +29,7 @@ from types import ModuleType
 from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import cache_folder, write_atomically
+from lscan.files.disk import MOST_TEXT_BYTES, cache_folder, read_cached, write_atomically
 from sim.debian import found_or_installed
 from sim.render.flushing import CAN_FLUSH
 
@@ -260,21 +260,22 @@ def _judge(code: int, stderr: str) -> ProbeResult:
 def probe_remembered(library: Library, probe: Probe = probe_library) -> ProbeResult:
     """What ``probe`` says of this library, or said before of the same file and Dr.Jit.
 
-    Answers are kept in ``lscan/llvm.json`` under XDG_CACHE_HOME; a file that cannot be read
+    Answers are kept in ``llvm.json`` of the user's cache; a file that cannot be read
     counts as empty, and one that cannot be written is done without.
     """
-    cache = cache_folder() / "llvm.json"
+    folder = cache_folder()
+    cache = folder and folder / "llvm.json"
     answers: dict[str, ProbeResult] = {}
-    with suppress(OSError, ValueError):
-        answers = ANSWERS.validate_json(cache.read_bytes(), strict=True)
+    with suppress(ValueError):
+        kept = cache and read_cached(cache, MOST_TEXT_BYTES)
+        answers = ANSWERS.validate_json(kept or b"", strict=True)
     facts = library.path.stat()
     key = f"{library.path} {facts.st_mtime_ns} {facts.st_size} drjit-{version('drjit')}"
     if key in answers:
         return answers[key]
     verdict = probe(library)
-    if verdict.final:
-        with suppress(OSError, InputError):
-            cache.parent.mkdir(parents=True, exist_ok=True)
+    if verdict.final and cache:
+        with suppress(InputError):
             write_atomically(cache, ANSWERS.dump_json({**answers, key: verdict}, indent=1))
     return verdict
 

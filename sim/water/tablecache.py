@@ -13,7 +13,7 @@ from time import sleep
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.disk import cache_folder, read_bytes, write_atomically
+from lscan.files.disk import cache_folder, read_cached, write_atomically
 from lscan.files.longwork import long_work
 from lscan.records import Floats
 
@@ -29,15 +29,19 @@ def kept_arrays(name: str, make: Callable[[], dict[str, Floats]]) -> dict[str, F
     """The arrays that ``make`` returns, or returned before under the same name.
 
     Processes that ask for the same name at once wait for the first of them.  A file that is
-    broken is replaced.  Where the cache cannot be written, the log says so and the arrays are
-    returned all the same.
+    broken, or another user's, is replaced.  Where the cache cannot be written, the log says so and
+    the arrays are returned all the same.
 
     Parameters
     ----------
     name : str, a file's name that says all that the arrays depend on, by a hash
     make : function without arguments that makes the arrays
     """
-    file = cache_folder() / name
+    cache = cache_folder()
+    if cache is None:
+        _log.warning("a table will have to be made again: there is no cache of this user's own")
+        return make()
+    file = cache / name
     arrays = _read(file)
     if arrays is None:
         with _alone(file):
@@ -60,13 +64,12 @@ def _make_and_keep(file: Path, make: Callable[[], dict[str, Floats]]) -> dict[st
 
 def _read(file: Path) -> dict[str, Floats] | None:
     """The arrays of a kept file; None where there is none or it is broken."""
-    with suppress(InputError):
-        data = read_bytes(file, LARGEST_BYTES)
-        digest, packed = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
-        if hashlib.sha256(packed).digest() == digest:
-            with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
-                return dict(arrays)
-    return None
+    data = read_cached(file, LARGEST_BYTES) or b""
+    digest, packed = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
+    if hashlib.sha256(packed).digest() != digest:
+        return None
+    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
+        return dict(arrays)
 
 
 @contextmanager
@@ -74,7 +77,6 @@ def _alone(file: Path) -> Iterator[None]:
     """Hold a lock beside the file, which ends with the process; none where it cannot be made."""
     descriptor = None
     with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(
             file.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600
         )

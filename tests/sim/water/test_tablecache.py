@@ -1,18 +1,24 @@
 """Kept tables: made once, by one at a time, and never believed where they are broken."""
 
 import logging
+import os
 import subprocess
 import sys
+import tempfile
 import threading
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from shown_work import ShownWork
 
 from lscan.errors import DiskError
+from lscan.files.disk import cache_folder, read_cached
 from lscan.files.longwork import long_work_shown
 from lscan.records import Floats
+from lscan.suites.find import suite_cache
 from sim.water import tablecache
 from sim.water.tablecache import kept_arrays
 
@@ -144,3 +150,68 @@ def test_a_maker_that_fails_leaves_nothing_and_no_lock(folder: Path) -> None:
     with pytest.raises(MemoryError):
         kept_arrays("one", failing)
     assert kept_arrays("one", Maker())["b"] == 1.0
+
+
+def another_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This process runs as a user who owns none of what there is."""
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+
+
+def test_a_folder_of_another_user_is_no_cache(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    make = Maker()
+    kept_arrays("one", make)
+    before = (folder / "one").read_bytes()
+    another_user(monkeypatch)
+    with caplog.at_level(logging.WARNING):
+        assert kept_arrays("one", make)["b"] == 2.0
+    assert "no cache of this user's own" in caplog.text
+    assert (folder / "one").read_bytes() == before
+    assert (cache_folder(), suite_cache()) == (None, None)
+
+
+def test_a_table_that_another_user_laid_there_is_made_anew(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As into a folder that was open to all before."""
+    make = Maker()
+    kept_arrays("one", make)
+    theirs, whose = os.getuid() + 1, Path.stat
+
+    def stat(path: Path, **options: Any) -> Any:
+        of = whose(path, **options)
+        return SimpleNamespace(st_uid=theirs) if path.name == "one" else of
+
+    monkeypatch.setattr(Path, "stat", stat)
+    assert read_cached(folder / "one", 2**20) is None
+    monkeypatch.undo()
+    assert read_cached(folder / "one", 2**20) == (folder / "one").read_bytes()
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o777, 0o2770])
+def test_nobody_else_gets_into_the_cache(folder: Path, mode: int) -> None:
+    folder.mkdir()
+    folder.chmod(mode)
+    assert cache_folder() == folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_without_home_the_cache_is_a_folder_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the folder that all share: a link that is there already leads nowhere."""
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path))
+    folder = tmp_path / f"lscan-{os.getuid()}"
+    (tmp_path / "theirs").mkdir()
+    folder.symlink_to(tmp_path / "theirs")
+    assert cache_folder() is None
+    folder.unlink()
+    assert cache_folder() == folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+    another_user(monkeypatch)
+    folder.rename(tmp_path / f"lscan-{os.getuid()}")
+    assert cache_folder() is None
