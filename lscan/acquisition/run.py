@@ -26,14 +26,14 @@ import cv2
 import numpy as np
 from pydantic import Field, FiniteFloat, TypeAdapter
 
-from lscan.config.documents import Document, Strict, check, read_json
+from lscan.config.documents import Document, Strict, check
 from lscan.config.plugins import others_versions, refuse_code
 from lscan.config.rig import Plan, Rig
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import list_names, read_bytes, require_within
-from lscan.files.headers import read_header
-from lscan.files.pictures import decode
+from lscan.files.jsontext import read_json
+from lscan.files.pictures import read_png
 from lscan.records import Bytes, Floats, Frame
 from lscan.version import __version__
 
@@ -212,18 +212,7 @@ class Run:
         """A frame's picture, or its background."""
         file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
         data = self._checked_bytes(row, dark)
-        header = read_header(data)
-        if header is None or (header.format, header.depth_bits) != ("PNG", 8):
-            raise InputError("is not an 8-bit grey or RGB picture", where=file, allowed="PNG")
-        if (header.width_px, header.height_px) != camera.size_px:
-            size = f"{header.width_px} by {header.height_px} px"
-            allowed = f"{camera.width_px} by {camera.height_px} px, as in the rig"
-            raise InputError("wrong picture size", where=file, value=size, allowed=allowed)
-        image = decode(data)
-        if image is None or image.shape[2:] not in ((), (3,)):
-            raise InputError("is not an 8-bit grey or RGB picture", where=file)
-        rgb = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-        return np.asarray(rgb, dtype=np.uint8)
+        return read_png(data, file, camera.size_px, whose=", as in the rig")
 
 
 def open_run(path: Path | str, trusted: bool = False) -> Run:

@@ -9,11 +9,10 @@ from lscan.benchmark.against import Difference, before_and_after, differences
 from lscan.benchmark.judging import SUMS, CaseSums
 from lscan.benchmark.suiterun import SuiteRun, suite_rows
 from lscan.benchmark.worst import draw_worst
-from lscan.config.documents import read_json
 from lscan.config.plugins import others_versions
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsontext import write_json
+from lscan.files.jsontext import read_json, write_json
 
 VERSION = 1
 MOST_SAVED_BYTES = 2**28

@@ -24,10 +24,11 @@ from pydantic import (
 from lscan.calibration.api import find_solver
 from lscan.calibration.solve import Calibration, residuals
 from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Number, Place, Sigmas
-from lscan.config.documents import Strict, check, read_json
+from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
+from lscan.files.jsontext import read_json
 from lscan.records import BoardReading, Floats, Ints, Mark, Marks, RingPoints, RulerReading, Status
 
 FORMAT: Final = "lscan-calibration"

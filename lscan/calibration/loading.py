@@ -7,8 +7,8 @@ from lscan.calibration.file import MOST_BYTES, calibration_of, save_calibration
 from lscan.calibration.multiview.file import CAMERA_FORMAT, FORMAT, metric_of, save_metric
 from lscan.calibration.multiview.solve import MetricCalibration
 from lscan.calibration.solve import Calibration
-from lscan.config.documents import read_json
 from lscan.errors import InputError
+from lscan.files.jsontext import read_json
 
 AnyCalibration = Calibration | MetricCalibration
 

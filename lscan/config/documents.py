@@ -1,13 +1,12 @@
-"""Documents in TOML or JSON: read, their includes merged, checked against strict models.
+"""Documents in TOML: read, their includes merged, checked against strict models.
 
-A TOML document may name others to start from: ``include = "rig.toml"`` (or a list); a name such
+A document may name others to start from: ``include = "rig.toml"`` (or a list); a name such
 as "paper/rig" is that of a scene that comes with lscan.  Tables are merged key by key and the
 including file wins, so scenes share one rig instead of repeating it.
 ``exclude = ["workpiece", "lens.focus_mm"]`` beside it takes tables or keys out of
 what was included.  Paths inside a document are relative to the file they stand in.
 """
 
-import json
 import os
 import re
 import tomllib
@@ -23,18 +22,16 @@ from pydantic_core import CoreSchema, ErrorDetails
 from lscan.config.allowed import Keys, in_words, names, tags_in_words, trace
 from lscan.config.scenes import included_file, scene_file
 from lscan.errors import InputError
-from lscan.files.disk import MOST_TEXT_BYTES, read_text
+from lscan.files.disk import read_text
+from lscan.files.jsontext import MOST_LEVELS, TOO_DEEP, check_values, dotted
 
 Document = dict[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
-MOST_LEVELS = 50
-"""Of tables and lists in one another; a rig file has six or so."""
 MOST_FILES = 100
 """That a document includes in all; each may include others, and one file more than once."""
 MOST_NAMED = 3
 """Of keys at fault besides the first that a message names."""
-_TOO_DEEP = "tables and lists too deep in one another"
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _DEEP_KEY = re.compile(rf"(?<![\w-])(?:{_PART}[ \t]*+\.[ \t]*+){{{MOST_LEVELS}}}")
@@ -104,7 +101,7 @@ def _read(path: Path, chain: tuple[Path, ...], read: list[Path]) -> Document:
         raise InputError("includes too many files", where=read[0], allowed=allowed)
     read.append(path)
     document = _parse(path)
-    _check_values(document, path)
+    check_values(document, path)
     _anchor_paths(document, path)
     files, excluded = (_texts(document, key, path) for key in ("include", "exclude"))
     merged: Document = {}
@@ -144,64 +141,14 @@ def _parse(path: Path) -> Document:
     text = read_text(path)
     deep = _DEEP_KEY.search(text)
     if deep:  # tomllib takes memory as the square of a key's parts: 4 GB for 32,000
-        what = f"{'.'.join(deep.group().split('.')[:3])}...: {_TOO_DEEP}"
+        what = f"{'.'.join(deep.group().split('.')[:3])}...: {TOO_DEEP}"
         raise InputError(what, where=path, allowed=f"{MOST_LEVELS} levels")
     try:
         return tomllib.loads(text)
     except ValueError as error:  # also of a number of thousands of digits
         raise InputError(f"is not valid TOML: {error}", where=path) from error
     except RecursionError as error:
-        raise InputError(_TOO_DEEP, where=path, allowed=f"{MOST_LEVELS} levels") from error
-
-
-def read_json(path: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> Any:
-    """What a JSON file holds.
-
-    Parameters
-    ----------
-    path : Path, the file
-    most : int, its largest size, bytes
-    within : Path or None, a folder whose content is a stranger's, and the file in it: no link out
-        of it is followed
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, is no JSON, or holds what is no finite number, a null character, or
-        tables too deep in one another.
-    """
-    text = read_text(path, most, within)
-    try:
-        content = json.loads(text, parse_constant=_refuse_constant)
-    except ValueError as error:  # also of a number of thousands of digits
-        raise InputError(f"is not valid JSON: {error}", where=path) from error
-    except RecursionError as error:
-        what, allowed = f"is not valid JSON: {_TOO_DEEP}", f"{MOST_LEVELS} levels"
-        raise InputError(what, where=path, allowed=allowed) from error
-    _check_values(content, path)
-    return content
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number")
-
-
-def _check_values(value: Any, source: Path, keys: Keys = ()) -> None:
-    """Refuse what no later step could take: a null character, and nesting without end."""
-    if isinstance(value, dict | list):
-        if len(keys) == MOST_LEVELS:
-            what = f"{_dotted(keys[:3])}...: {_TOO_DEEP}"
-            raise InputError(what, where=source, allowed=f"{MOST_LEVELS} levels")
-        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            _check_values(key, source, keys)
-            _check_values(item, source, (*keys, key))
-    elif isinstance(value, str) and "\0" in value:
-        what = f"{_dotted(keys) or 'a key'}: holds a null character"
-        raise InputError(what, where=source, value=value, allowed="a text without")
-
-
-def _dotted(keys: Keys) -> str:
-    return ".".join(map(str, keys))
+        raise InputError(TOO_DEEP, where=path, allowed=f"{MOST_LEVELS} levels") from error
 
 
 def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
@@ -303,8 +250,8 @@ def _explain(
 
 def _named(prefix: str, keys: Keys) -> str:
     if prefix == "--":
-        return f"--{_dotted(keys).replace('_', '-')}"
-    return _dotted((prefix, *keys) if prefix else keys)
+        return f"--{dotted(keys).replace('_', '-')}"
+    return dotted((prefix, *keys) if prefix else keys)
 
 
 def _fault(raw: ErrorDetails, model: type[BaseModel], document: Document) -> _ModelFault:

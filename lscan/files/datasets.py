@@ -1,31 +1,63 @@
 """Data sets that ``lscan-sim dataset`` wrote, read picture by picture; the tank is not needed."""
 
 import hashlib
-import json
-import tarfile
-import zipfile
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from io import BytesIO
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, BinaryIO, Literal
 
-import cv2
 import h5py
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lscan.errors import InputError
-from lscan.files.disk import disk_errors, read_bytes, read_text, require_within
-from lscan.files.pictures import decode
+from lscan.files.containers import Place, hdf5_array, npz_arrays, open_hdf5, tar_places
+from lscan.files.disk import (
+    MOST_TEXT_BYTES,
+    list_names,
+    open_regular,
+    read_bytes,
+    reading_errors,
+    require_within,
+)
+from lscan.files.headers import read_header
+from lscan.files.jsontext import parse_json, read_json
+from lscan.files.pictures import MOST_BYTES, MOST_PX, read_png
 from lscan.records import Bytes
 
 MANIFEST = "manifest.json"
 VERSION = 1
 MEMBERS = ("picture.png", "labels.png", "truth.npz", "scene.json")
 """What each picture of a data set is made of, in the order in which it is written."""
-MOST_BYTES = 1 << 28
+MOST_PICTURES = 2**21
+"""Of a data set."""
+MOST_MANIFEST_BYTES = 32 * MOST_PICTURES
+MOST_PX_BYTES = 64
+"""Of labels, truth and scene of a picture, for each of its pixels; lscan writes a third of them."""
+MOST_SHARD_BYTES = 2**44
+"""As large as file systems let files be: of a shard only members are read."""
 KNOWN_SHARDS = 16
+
+
+class ShardEntry(BaseModel):
+    """What a manifest says of a shard.  keys: of its pictures."""
+
+    model_config = ConfigDict(strict=True)
+    file: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,99}$")]
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    keys: list[Annotated[str, Field(pattern="^[0-9]{9}$")]]
+
+
+class DatasetContent(BaseModel):
+    """What reading a data set takes from its manifest, and what its users count on."""
+
+    model_config = ConfigDict(strict=True)
+    version: Literal[1]
+    shards: list[ShardEntry]
+    classes: dict[str, int] = {}
+    failed: dict[str, str] = {}
 
 
 @dataclass(frozen=True)
@@ -44,37 +76,38 @@ class DatasetPicture:
     @property
     def picture(self) -> Bytes:
         """(H, W, 3) RGB, as the webcam took it."""
-        image = self._decoded("picture.png", cv2.IMREAD_COLOR)
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        image = self._decoded("picture.png")
+        return image if image.ndim == 3 else np.repeat(image[..., np.newaxis], 3, axis=2)
 
     @property
     def labels(self) -> Bytes:
         """(H, W) classes, numbered as the manifest's ``classes`` say."""
-        return self._decoded("labels.png", cv2.IMREAD_UNCHANGED)
+        return self._decoded("labels.png")
 
     @cached_property
     def truth(self) -> dict[str, np.ndarray]:
         """Arrays by name: depth, normals, layers, and the line's columns; see the data card."""
-        try:
-            with np.load(BytesIO(self.members["truth.npz"]), allow_pickle=False) as arrays:
-                return dict(arrays)
-        except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile) as error:
-            raise InputError("truth.npz cannot be read", where=self.key) from error
+        data = self._member("truth.npz")
+        return npz_arrays(data, _most_bytes(self._member("picture.png")), self._where("truth.npz"))
 
     @cached_property
     def scene(self) -> dict[str, Any]:
         """Scene, numbers drawn for it, exposure, units, and the classes' run lengths (``rle``)."""
-        try:
-            found: dict[str, Any] = json.loads(self.members["scene.json"])
-        except ValueError as error:
-            raise InputError("scene.json cannot be read", where=self.key) from error
+        found = parse_json(self._member("scene.json"), self._where("scene.json"))
+        if not isinstance(found, dict):
+            raise InputError("is no scene", where=self._where("scene.json"))
         return found
 
-    def _decoded(self, name: str, flags: int) -> Bytes:
-        image = decode(self.members[name], flags)
-        if image is None:
-            raise InputError(f"{name} cannot be read", where=self.key)
-        return image
+    def _decoded(self, name: str) -> Bytes:
+        return read_png(self._member(name), self._where(name))
+
+    def _member(self, name: str) -> bytes:
+        if name not in self.members:
+            raise InputError("is missing", where=self._where(name))
+        return self.members[name]
+
+    def _where(self, name: str) -> str:
+        return f"picture {self.key}: {name}"
 
 
 class PictureDataset:
@@ -111,16 +144,19 @@ class PictureDataset:
         """
         self.folder = Path(folder)
         where = self.folder / MANIFEST
+        self.manifest: dict[str, Any] = read_json(where, MOST_MANIFEST_BYTES, within=self.folder)
         try:
-            self.manifest = json.loads(read_text(where, MOST_BYTES))
-            if self.manifest["version"] != VERSION:
-                version = self.manifest["version"]
-                raise InputError("of another version", where=where, value=version, allowed=VERSION)
-            self._places = [
-                (shard["file"], key) for shard in self.manifest["shards"] for key in shard["keys"]
-            ]
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError("is no manifest of a data set", where=where) from error
+            self._shards = DatasetContent.model_validate(self.manifest).shards
+        except ValidationError as error:
+            first = error.errors()[0]
+            key, value = ".".join(map(str, first["loc"])) or "document", first["input"]
+            what = f"is no manifest of a data set: {key}: {first['msg']}"
+            raise InputError(
+                f"is of another {key}" if key == "version" else what,
+                where=where,
+                value=value if isinstance(value, str | int) else None,
+            ) from error
+        self._places = [(shard.file, key) for shard in self._shards for key in shard.keys]
 
     def __len__(self) -> int:
         """How many pictures there are."""
@@ -131,16 +167,14 @@ class PictureDataset:
         file, key = self._places[number]
         path = self.folder / file
         require_within(path, self.folder)
-        with disk_errors(path):
-            members = _members(path, key)
-        return DatasetPicture(key, members)
+        return DatasetPicture(key, _read_members(path, key))
 
     def verify(self) -> None:
         """Hold every shard against its hash; InputError names the first that differs."""
-        for shard in self.manifest["shards"]:
-            path = self.folder / shard["file"]
+        for shard in self._shards:
+            path = self.folder / shard.file
             require_within(path, self.folder)
-            if shard_sha256(path) != shard["sha256"]:
+            if shard_sha256(path) != shard.sha256:
                 raise InputError("was changed: its hash differs", where=path)
 
 
@@ -151,40 +185,66 @@ def shard_sha256(path: Path) -> str:
     ----------
     path : Path
     """
-    digest = hashlib.sha256()
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        if path.is_dir():
-            digest.update(f"{file.name}\0{file.stat().st_size}\0".encode())
-        with file.open("rb") as stream:
+    digest, whole = hashlib.sha256(), path.is_dir()
+    for name in sorted(list_names(path)) if whole else [""]:
+        file = path / name
+        with open_regular(file, MOST_SHARD_BYTES, path) as stream, reading_errors(file):
+            if whole:
+                digest.update(f"{name}\0{os.fstat(stream.fileno()).st_size}\0".encode())
             while block := stream.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()
 
 
-def _members(path: Path, key: str) -> dict[str, bytes]:
+def _read_members(path: Path, key: str) -> dict[str, bytes]:
     """The files of one picture, from a shard of any format."""
-    names = [f"{key}.{name}" for name in MEMBERS]
-    try:
-        if path.suffix == ".tar":
-            state = path.stat()
-            places, found = _places(path, state.st_mtime_ns, state.st_size), {}
-            with path.open("rb") as stream:  # of its own: processes and threads read side by side
-                for name in names:
-                    begin, size = places[name]
-                    stream.seek(begin)
-                    found[name] = stream.read(size)
-        elif path.suffix == ".h5":
-            with h5py.File(path, "r") as file:
-                found = {name: bytes(file[key][name[len(key) + 1 :]][()]) for name in names}
-        else:
-            found = {name: read_bytes(path / name, MOST_BYTES) for name in names}
-    except (KeyError, tarfile.TarError) as error:
-        raise InputError("lacks a picture, or is damaged", where=path, value=key) from error
-    return {name[len(key) + 1 :]: data for name, data in found.items()}
+    if path.suffix == ".tar":
+        # A file of its own: processes and threads read side by side.
+        with open_regular(path, MOST_SHARD_BYTES) as stream, reading_errors(path):
+            state = os.fstat(stream.fileno())
+            places = _places(path, state.st_mtime_ns, state.st_size)
+            return _each_member(partial(_in_tar, stream, places, path, key))
+    if path.suffix == ".h5":
+        with open_hdf5(path, MOST_SHARD_BYTES) as file:
+            return _each_member(partial(_in_hdf5, file, path, key))
+    return _each_member(lambda name, most: read_bytes(path / f"{key}.{name}", most, within=path))
+
+
+def _each_member(read: Callable[[str, int], bytes]) -> dict[str, bytes]:
+    """The files by name, the picture first: its size says how large the others may be."""
+    members: dict[str, bytes] = {}
+    for name in MEMBERS:
+        picture = members.get(MEMBERS[0])
+        members[name] = read(name, MOST_BYTES if picture is None else _most_bytes(picture))
+    return members
+
+
+def _most_bytes(picture: bytes) -> int:
+    """Of each file that belongs to a picture, and of what it unpacks to."""
+    header = read_header(picture)
+    pixels = header.width_px * header.height_px if header is not None else 0
+    return MOST_TEXT_BYTES + MOST_PX_BYTES * min(pixels, MOST_PX)
+
+
+def _in_tar(
+    stream: BinaryIO, places: Mapping[str, Place], path: Path, key: str, name: str, most: int
+) -> bytes:
+    begin, size = places.get(f"{key}.{name}", (0, most + 1))
+    if size > most:
+        what, allowed = f"lacks the picture's {name}, or it is too large", f"{most} bytes at most"
+        raise InputError(what, where=path, value=key, allowed=allowed)
+    stream.seek(begin)
+    return stream.read(size)
+
+
+def _in_hdf5(file: h5py.File, path: Path, key: str, name: str, most: int) -> bytes:
+    array = hdf5_array(file, f"{key}/{name}", most, path)
+    if array.dtype != np.uint8 or array.ndim != 1:
+        raise InputError(f"{key}/{name}: is no row of bytes", where=path)
+    return bytes(array[()])
 
 
 @lru_cache(maxsize=KNOWN_SHARDS)
-def _places(path: Path, _mtime_ns: int, _size: int) -> dict[str, tuple[int, int]]:
+def _places(path: Path, _mtime_ns: int, _size: int) -> dict[str, Place]:
     """Where the members of a tar file, as it is at that time, begin and how long they are."""
-    with tarfile.open(path, mode="r:") as tar:
-        return {member.name: (member.offset_data, member.size) for member in tar}
+    return tar_places(path, MOST_BYTES)

@@ -85,6 +85,37 @@ _TURNS = {
 }
 
 
+def read_png(
+    data: bytes, where: object, size_px: tuple[int, int] | None = None, *, whose: str = ""
+) -> Bytes:
+    """The picture, (H, W) grey or (H, W, 3) RGB uint8, of a PNG file that lscan wrote.
+
+    Parameters
+    ----------
+    data : bytes, of the file
+    where : the file, for the error
+    size_px : tuple or None, (width, height), px, that it must have; None: ``MOST_PX`` at most
+    whose : str, who states that size, such as ", as in the rig", for the error
+
+    Raises
+    ------
+    InputError
+        It is no PNG of 8 bit, or of another size, which is known before it is decoded.
+    """
+    header, image = read_header(data), None
+    if header is not None and (header.format, header.depth_bits) == ("PNG", 8):
+        size = header.width_px, header.height_px
+        if size_px is not None and size != size_px:
+            value, allowed = "{} by {} px".format(*size), "{} by {} px".format(*size_px)
+            raise InputError("wrong picture size", where=where, value=value,
+                             allowed=f"{allowed}{whose}")  # fmt: skip
+        image = decode(data) if size_px is not None or not too_large(header) else None
+    if image is None or image.shape[2:] not in ((), (3,)):
+        what = "is not an 8-bit grey or RGB picture, or too large"
+        raise InputError(what, where=where, allowed=f"PNG of {MOST_PX} px at most")
+    return image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+
+
 def too_large(header: PictureHeader) -> bool:
     """Whether a picture has more than ``MOST_PX`` pixels.
 

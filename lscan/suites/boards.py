@@ -4,22 +4,20 @@ import csv
 import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
 
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
+from lscan.files.pictures import read_png
 from lscan.records import Bytes, Floats, Marks, Status
-from lscan.suites.content import BOARD, MAP, OPTICS, PICTURE, TRUTH, noisy_png, read_case_picture
+from lscan.suites.content import BOARD, MAP, OPTICS, PICTURE, TRUTH, noisy_png, read_section
 
 MARK_COLUMNS = ("x_mm", "z_mm", "u_px", "v_px", "status")
 MAP_COLUMNS = ("u_px", "v_px", "x_mm", "z_mm")
 MARK_STATUSES = (Status.OK, Status.OUT_OF_VIEW, Status.OCCLUDED)
 _FORMS = {"px": "%.6f", "mm": "%.4f", "dn": "%.0f"}  # by a column's unit
-_Section = TypeVar("_Section", bound=BaseModel)
 
 
 @dataclass(frozen=True)
@@ -89,7 +87,7 @@ def read_board_case(
     def shown(part: str) -> tuple[bytes, str]:
         return member(f"{name}/{part}"), f"{suite}: member {name}/{part}"
 
-    board = _section(Board, *shown(BOARD))
+    board = read_section(Board, *shown(BOARD))
     marks = _marks(*shown(TRUTH))
     places = [board.grid.points_mm(), *(ruler.points_mm() for ruler in board.ruler)]
     if len(marks.status) != sum(map(len, places)):
@@ -97,7 +95,7 @@ def read_board_case(
     table = read_table(MAP_COLUMNS, *shown(MAP))
     if not (len(table) and np.isfinite(table).all()):
         raise InputError("is no table of a map", where=shown(MAP)[1])
-    picture, optics = read_case_picture(*shown(PICTURE)), _section(OpticsSection, *shown(OPTICS))
+    picture, optics = read_png(*shown(PICTURE)), read_section(OpticsSection, *shown(OPTICS))
     return BoardCase(name, axes, picture, board, optics, marks, table[:, :2], table[:, 2:])
 
 
@@ -142,10 +140,3 @@ def read_table(columns: Sequence[str], data: bytes, where: object) -> Floats:
         return np.array(rows, dtype=float).reshape(len(rows), len(columns))
     except (ValueError, csv.Error) as error:
         raise InputError(f"is no table of {', '.join(columns)}", where=where) from error
-
-
-def _section(model: type[_Section], data: bytes, where: object) -> _Section:
-    try:
-        return model.model_validate_json(data)
-    except ValidationError as error:
-        raise InputError(f"is no {model.__name__}", where=where) from error

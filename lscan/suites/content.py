@@ -12,13 +12,14 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
-from lscan.config.documents import Strict
+from lscan.config.documents import Model, Strict, check
+from lscan.config.plugins import refuse_code
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.files.headers import read_header
-from lscan.files.pictures import decode, encoded, too_large
+from lscan.files.jsontext import parse_json
+from lscan.files.pictures import encoded
 from lscan.records import Bytes, Floats, Ints, Status
 from lscan.suites.layers import LightLayers, layers_picture
 
@@ -144,16 +145,16 @@ def read_manifest(data: bytes, where: object) -> SuiteContent:
         stated, _, plain = data.decode().partition("\n")
         if hashlib.sha256(plain[:-1].encode()).hexdigest() != stated or plain[-1:] != "\n":
             raise InputError(f"{MANIFEST} does not have its own checksum", where=where)
-        document = json.loads(plain)
+        document = parse_json(plain, where)
         version = document.get("version") if isinstance(document, dict) else None
         if version != VERSION:
             allowed = f"{VERSION}; lscan-sim suite make renders it anew"
             raise InputError(
                 f"{MANIFEST} is of another version", where=where, value=version, allowed=allowed
             )
-        content = SuiteContent.model_validate(document)
-    except (ValueError, RecursionError) as error:  # ValidationError, of JSON and UTF-8 too
+    except UnicodeDecodeError as error:
         raise InputError(f"{MANIFEST} is no manifest of a suite", where=where) from error
+    content = check(SuiteContent, document, where=where, prefix=MANIFEST)
     for name in content.members:
         if not _PLAIN.fullmatch(name):
             raise InputError("a member has a name that is not plain", where=where, value=name)
@@ -198,22 +199,13 @@ def read_truth(data: bytes, where: object) -> CaseTruth:
     return CaseTruth(centre, sigma, height, noise, *whole)
 
 
-def read_case_picture(data: bytes, where: object) -> Bytes:
-    """A picture of a member, RGB; InputError where it is none or too large."""
-    header = read_header(data)
-    usable = header is not None and header.format == "PNG" and not too_large(header)
-    image = decode(data) if usable else None
-    if image is None or image.shape[2:] not in ((), (3,)):
-        raise InputError("is no PNG picture of 8 bit", where=where)
-    return image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
-
-
-def read_settings(data: bytes, where: object) -> StripeSection:
-    """The stripe section of a member; InputError where it is none."""
-    try:
-        return StripeSection.model_validate_json(data)
-    except ValidationError as error:
-        raise InputError("is no [stripe] section", where=where) from error
+def read_section(model: type[Model], data: bytes, where: object) -> Model:
+    """The section of a rig file in a member; InputError where it is none, or names code."""
+    section = check(model, parse_json(data, where), where=where)
+    for of in (section, getattr(section, "stripe", None)):
+        if isinstance(of, StripeSection):
+            refuse_code(of.extractor, where)
+    return section
 
 
 def member_sum(data: bytes) -> MemberSum:

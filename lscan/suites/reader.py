@@ -1,16 +1,16 @@
 """Suites read without trust: a folder or an archive, each member checked before it is decoded."""
 
-import io
-import struct
-import zipfile
-import zlib
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from lscan.config.rig import StripeSection
 from lscan.errors import InputError
+from lscan.files.containers import ReadMember, open_zip
 from lscan.files.disk import read_bytes, write_atomically
+from lscan.files.pictures import read_png
 from lscan.suites.boards import BoardCase, read_board_case
 from lscan.suites.content import (
     DARK,
@@ -25,20 +25,13 @@ from lscan.suites.content import (
     SuiteCase,
     SuiteContent,
     member_sum,
-    read_case_picture,
     read_manifest,
-    read_settings,
+    read_section,
     read_truth,
 )
 from lscan.suites.layers import layers_of_picture
 from lscan.suites.scans import ScanCase, read_scan_case
 from lscan.suites.writer import archive_bytes
-
-_HARMED = (
-    zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, EOFError, OSError,
-    struct.error, OverflowError, zlib.error,
-)  # fmt: skip
-_Read = Callable[[str, int], bytes]  # a member's bytes, no more than so many
 
 
 @dataclass(frozen=True)
@@ -54,7 +47,7 @@ class Suite:
 
     path: Path
     content: SuiteContent
-    read: _Read
+    read: ReadMember
 
     def member(self, name: str) -> bytes:
         """The bytes of a member; InputError, which names it, where its checksum differs.
@@ -82,12 +75,12 @@ class Suite:
         def shown(part: str) -> tuple[bytes, str]:
             return self.member(f"{name}/{part}"), f"{self.path}: member {name}/{part}"
 
-        picture, labels = read_case_picture(*shown(PICTURE)), read_case_picture(*shown(LABELS))
+        picture, labels = read_png(*shown(PICTURE)), read_png(*shown(LABELS))
         has_dark = f"{name}/{DARK}" in self.content.members
-        dark = read_case_picture(*shown(DARK)) if has_dark else None
+        dark = read_png(*shown(DARK)) if has_dark else None
         has_layers = f"{name}/{LAYERS}" in self.content.members
-        light = read_case_picture(*shown(LAYERS)) if has_layers else None
-        truth, settings = read_truth(*shown(TRUTH)), read_settings(*shown(SETTINGS))
+        light = read_png(*shown(LAYERS)) if has_layers else None
+        truth, settings = read_truth(*shown(TRUTH)), read_section(StripeSection, *shown(SETTINGS))
         along = picture.shape[1] if settings.axis == "columns" else picture.shape[0]
         sizes = labels.shape == picture.shape[:2] and len(truth.status) == along
         sizes &= dark is None or dark.shape == picture.shape
@@ -140,7 +133,10 @@ def open_suite(path: Path) -> Suite:
     ----------
     path : Path
     """
-    read = _folder_reader(path) if path.is_dir() else _archive_reader(path)
+    if path.is_dir():
+        read: ReadMember = partial(_in_folder, path)
+    else:
+        read = open_zip(path, MOST_SUITE_BYTES, "suite")
     return Suite(path, read_manifest(read(MANIFEST, MOST_MANIFEST_BYTES), path), read)
 
 
@@ -162,7 +158,7 @@ def verify_suite(path: Path) -> Suite:
         deque(cases, maxlen=0)
     if not path.is_dir():
         written = archive_bytes(suite.content, members)
-        if written != read_bytes(path, MOST_SUITE_BYTES):
+        if path.stat().st_size != len(written) or written != read_bytes(path, MOST_SUITE_BYTES):
             raise InputError("the archive's own entries are harmed", where=path)
     return suite
 
@@ -180,31 +176,5 @@ def pack_suite(folder: Path, file: Path) -> None:
     write_atomically(file, archive_bytes(suite.content, members))
 
 
-def _folder_reader(folder: Path) -> _Read:
-    return lambda name, most: read_bytes(folder / name, most, within=folder)
-
-
-def _archive_reader(file: Path) -> _Read:
-    """Members are stored as they are: nothing unpacks to more than the file holds."""
-    data = read_bytes(file, MOST_SUITE_BYTES)
-    try:
-        archive = zipfile.ZipFile(io.BytesIO(data))
-        names = archive.namelist()
-    except _HARMED as error:
-        raise InputError("is no suite: neither folder nor archive", where=file) from error
-    if len(set(names)) < len(names):
-        raise InputError("is no suite: two members have one name", where=file)
-
-    def read(name: str, most: int) -> bytes:
-        try:
-            entry = archive.getinfo(name)
-            if entry.compress_type != zipfile.ZIP_STORED or entry.file_size > most:
-                raise InputError(f"member {name} is compressed or too large", where=file)
-            with archive.open(entry) as opened:
-                return opened.read(most + 1)
-        except KeyError as error:
-            raise InputError(f"member {name} is missing", where=file) from error
-        except _HARMED as error:
-            raise InputError(f"member {name} cannot be read", where=file) from error
-
-    return read
+def _in_folder(folder: Path, name: str, most: int) -> bytes:
+    return read_bytes(folder / name, most, within=folder)

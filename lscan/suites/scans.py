@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.config.documents import check
 from lscan.config.rig import Rig
 from lscan.errors import InputError
+from lscan.files.pictures import read_png
 from lscan.records import Bytes, Floats, Ints, Mask, Status
 from lscan.suites.boards import BoardCase, board_members, read_board_case, read_table, table_bytes
-from lscan.suites.content import FRAME, LINE, RIG, SLICES, noisy_png, read_case_picture
+from lscan.suites.content import FRAME, LINE, RIG, SLICES, noisy_png, read_section
 
 LINE_COLUMNS = ("x_mm", "z_mm", "height_dn", "multiple", "status")
 SLICE_COLUMNS = ("x_mm", "y_mm", "z_mm", "status")
@@ -111,9 +111,9 @@ def read_scan_case(
         return member(f"{name}/{part}"), f"{suite}: member {name}/{part}"
 
     board = read_board_case(name, axes, member, suite)
-    rig = _rig(*shown(RIG))
+    rig = read_section(Rig, *shown(RIG))
     camera, count = rig.camera, rig.plan.frames
-    frames = tuple(read_case_picture(*shown(FRAME.format(k))) for k in range(count))
+    frames = tuple(read_png(*shown(FRAME.format(k))) for k in range(count))
     columns = camera.width_px if rig.stripe.axis == "columns" else camera.height_px
     size = (camera.height_px, camera.width_px)
     line = read_table(LINE_COLUMNS, *shown(LINE))
@@ -139,16 +139,6 @@ def read_scan_case(
         slices[:, :3],
         slices[:, 3].astype(np.int64),
     )
-
-
-def _rig(data: bytes, where: str) -> Rig:
-    try:
-        document = json.loads(data)
-    except (ValueError, RecursionError) as error:
-        raise InputError("is no rig", where=where) from error
-    if not isinstance(document, dict):
-        raise InputError("is no rig", where=where)
-    return check(Rig, document, where=where)
 
 
 def _check(places: Floats, status: Floats, plain: Mask, where: str) -> None:

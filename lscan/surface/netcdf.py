@@ -1,17 +1,9 @@
 """Reading the NetCDF file of a surface: the few arrays wanted, each looked at before it is read.
 
-NetCDF-4 is HDF5, whose files may refer to others, declare more numbers than there is memory for,
-and hold objects; of what a surface is made of, none does.  NetCDF-3, a format of its own, does none
-of it, but may say that many arrays share the same bytes: they are mapped, not copied.
-
-References
-----------
-The HDF Group, HDF5 File Format Specification, version 3.0, section III.E: the global heap.
+NetCDF-4 is HDF5, read as containers.py reads it.  NetCDF-3, a format of its own, refers to no other
+file, but may say that many arrays share the same bytes: they are mapped, not copied.
 """
 
-import io
-import re
-import struct
 import tempfile
 import warnings
 from collections.abc import Callable, Collection, Mapping
@@ -24,7 +16,8 @@ import h5py
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.disk import read_bytes
+from lscan.files.containers import hdf5_array, open_hdf5
+from lscan.files.disk import open_regular, read_bytes
 from lscan.files.netcdf import PACKING, NetcdfArray, as_text, in_mm, unpacked
 from lscan.records import Floats, Status
 
@@ -42,7 +35,6 @@ MEANING = (
     "units", "positive", "cell_methods", "flag_values", "flag_meanings", "_Unsigned", *PACKING,
 )  # fmt: skip
 """Attributes of an array that change what its numbers mean."""
-_OBJECT = struct.Struct("<H6xQ")  # in a global heap: its number, its size in bytes
 
 
 def read_arrays(
@@ -66,16 +58,9 @@ def read_arrays(
     InputError
         Where the file cannot be read, an array is missing, or is not such an array.
     """
-    content = read_bytes(path, MOST_BYTES)
-    read = _read_classic if content.startswith(b"CDF") else _read_hdf5
-    wanted = partial(_wanted, needed, optional, path)
-    try:
-        arrays, attributes = read(content, path, wanted)
-    except InputError:
-        raise
-    except Exception as error:  # the readers raise whatever fits best to what is damaged
-        message = " ".join(str(error).split())
-        raise InputError("cannot be read as NetCDF", where=path, value=message) from error
+    with open_regular(path, MOST_BYTES) as stream:
+        read = _read_classic if stream.read(3) == b"CDF" else _read_hdf5
+    arrays, attributes = read(path, partial(_wanted, needed, optional, path))
     order = _order(arrays)
     values = {name: _meant(name, array, order, path) for name, array in arrays.items()}
     texts = {name: as_text(value) for name, value in attributes.items()}
@@ -100,23 +85,32 @@ _Wanted = Callable[[Collection[str]], list[str]]
 _Read = tuple[dict[str, NetcdfArray], dict[str, Any]]
 
 
-def _read_hdf5(content: bytes, path: Path, wanted: _Wanted) -> _Read:
+def _read_hdf5(path: Path, wanted: _Wanted) -> _Read:
     """The wanted arrays as they are stored, and those of ATTRIBUTES that are there."""
-    if not _heaps_end(content):
-        raise InputError("cannot be read as NetCDF", where=path, value="damaged texts")
-    with h5py.File(io.BytesIO(content), "r") as file:
+    with open_hdf5(path, MOST_BYTES, "NetCDF", texts=True) as file:
         names = wanted(set(file))  # asking the file for a name follows its link
         attributes = {name: file.attrs[name] for name in ATTRIBUTES if name in file.attrs}
         return {name: _array(file, name, path) for name in names}, attributes
 
 
-def _read_classic(content: bytes, path: Path, wanted: _Wanted) -> _Read:
+def _read_classic(path: Path, wanted: _Wanted) -> _Read:
     """The same of NetCDF-3."""
-    from scipy.io import netcdf_file  # here: most surfaces are NetCDF-4
-
-    if content[3] not in (1, 2):
+    content = read_bytes(path, MOST_BYTES)
+    if content[3:4] not in (b"\x01", b"\x02"):
         allowed = "NetCDF-4, as nccopy -k nc4 makes it"
         raise InputError("is a kind of NetCDF not read", where=path, value="CDF-5", allowed=allowed)
+    try:
+        return _classic_arrays(content, path, wanted)
+    except InputError:
+        raise
+    except Exception as error:  # the reader raises whatever fits best to what is damaged
+        message = " ".join(str(error).split())
+        raise InputError("cannot be read as NetCDF", where=path, value=message) from error
+
+
+def _classic_arrays(content: bytes, path: Path, wanted: _Wanted) -> _Read:
+    from scipy.io import netcdf_file  # here: most surfaces are NetCDF-4
+
     with tempfile.TemporaryFile() as copy, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the arrays outlive the file, whose bytes stay mapped
         copy.write(content)
@@ -125,56 +119,33 @@ def _read_classic(content: bytes, path: Path, wanted: _Wanted) -> _Read:
             arrays = {}
             for name in wanted(file.variables):
                 found = file.variables[name]
-                _require_numbers(name, found.data, found.shape, path)
+                _require_numbers(name, found.data, path)
                 notes = {key: getattr(found, key) for key in MEANING if hasattr(found, key)}
                 arrays[name] = NetcdfArray(tuple(found.dimensions), np.array(found.data), notes)
             return arrays, {key: getattr(file, key) for key in ATTRIBUTES if hasattr(file, key)}
 
 
-def _heaps_end(content: bytes) -> bool:
-    """Whether each global heap, in which HDF5 keeps texts, leads from object to object to its end.
-
-    HDF5 itself goes on for ever where a damaged size leads nowhere or back.
-    """
-    last = 0
-    for found in re.finditer(rb"GCOL\x01(?=...(.{8}))", content, re.DOTALL):
-        place, end = found.start() + 16, found.start() + int.from_bytes(found[1], "little")
-        if end > len(content):
-            continue  # HDF5 refuses it, if it is a heap at all and not numbers that look like one
-        if found.start() < last:
-            return False  # a heap within a heap
-        while place + 16 <= end:
-            number, size = _OBJECT.unpack_from(content, place)
-            step = 16 + -(-size // 8) * 8 if number else size  # 0: the space that is left
-            if not 16 <= step <= end - place:
-                return False
-            place += step
-        last = end
-    return True
-
-
 def _array(file: h5py.File, name: str, path: Path) -> NetcdfArray:
     """One array, once it is known to be of numbers, not too many, and in this file."""
-    link, found = file.get(name, getlink=True), None
-    if isinstance(link, h5py.HardLink):
-        found = file[name]
-    if not isinstance(found, h5py.Dataset) or found.is_virtual or found.external:
-        raise InputError(f"{name}: is not an array in this file", where=path)
-    _require_numbers(name, found, found.chunks or (), path)
+    found = hdf5_array(file, name, _most(name), path)
+    _require_numbers(name, found, path)
     attributes = {key: found.attrs[key] for key in MEANING if key in found.attrs}
     return NetcdfArray(_dimensions(found), np.asarray(found[()]), attributes)
 
 
-def _require_numbers(name: str, found: Any, chunks: tuple[int, ...], path: Path) -> None:
+def _most(name: str) -> int:
+    return MOST_MODE_NUMBERS if name == "modes" else MOST_POINTS
+
+
+def _require_numbers(name: str, found: Any, path: Path) -> None:
     """Refuse what is no array of numbers, or declares too many."""
-    dtype, shape, ndim = found.dtype, found.shape, found.ndim
+    dtype, ndim = found.dtype, found.ndim
     if not (dtype.kind in "fiu" and dtype.itemsize <= 8 and ndim in (1, 2, 4)):
         value = f"{dtype} in {ndim} dimensions"
         raise InputError(f"{name}: is not an array of numbers", where=path, value=value)
-    most = MOST_MODE_NUMBERS if ndim == 4 else MOST_POINTS
-    if max(prod(shape), prod(chunks)) > most:
-        allowed = f"{most} numbers"
-        raise InputError(f"{name}: is too large", where=path, value=shape, allowed=allowed)
+    if prod(found.shape) > _most(name):
+        allowed = f"{_most(name)} numbers"
+        raise InputError(f"{name}: is too large", where=path, value=found.shape, allowed=allowed)
 
 
 def _dimensions(found: h5py.Dataset) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lscan.errors import InputError
-from lscan.files.datasets import MANIFEST, VERSION
+from lscan.files.datasets import MANIFEST, MOST_PICTURES, VERSION
 from lscan.files.disk import (
     list_names,
     lock_folder,
@@ -20,7 +20,7 @@ from lscan.files.disk import (
     remove_temporaries,
     write_atomically,
 )
-from lscan.files.jsontext import write_json
+from lscan.files.jsontext import read_json, write_json
 from lscan.records import Progress
 from lscan.version import __version__
 from sim.datasets.datasetshards import (
@@ -83,6 +83,8 @@ def make_dataset(
     InputError
         The folder holds something else, the disk refuses, or no scheduler answers.
     """
+    if count > MOST_PICTURES:
+        raise InputError("too many pictures", value=count, allowed=f"{MOST_PICTURES} at most")
     folder = folder.resolve()
     make_folder(folder)
     lock = lock_folder(folder, "data set")
@@ -176,11 +178,8 @@ def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None
         return
     if not resume:
         raise InputError("holds a data set", where=folder, allowed="--resume, or a new folder")
-    try:
-        same = json.loads(file.read_text(encoding="utf-8"))["sha256"] == identity["sha256"]
-    except (OSError, ValueError, KeyError, TypeError):
-        same = False
-    if not same:
+    kept = read_json(file, within=folder)
+    if not isinstance(kept, dict) or kept.get("sha256") != identity["sha256"]:
         allowed = "the same spec, scenes, count, format and version of lscan; or a new folder"
         raise InputError("holds another data set", where=folder, allowed=allowed)
 

@@ -1,7 +1,6 @@
 """The pictures of one tank with their labels, as the files of one shard."""
 
 import io
-import json
 import logging
 import os
 import shutil
@@ -17,10 +16,10 @@ import cv2
 import h5py
 import numpy as np
 
-from lscan.errors import LscanError
+from lscan.errors import InputError, LscanError
 from lscan.files.datasets import MEMBERS, shard_sha256
 from lscan.files.disk import disk_errors, sync_folder, temporary_name, write_atomically
-from lscan.files.jsontext import json_text, write_json
+from lscan.files.jsontext import json_text, read_json, write_json
 from lscan.files.pictures import encoded
 from lscan.files.runlengths import run_lengths
 from sim.datasets.datasetspec import POSITION, DatasetSpec
@@ -35,6 +34,7 @@ PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 PNG_NOISY = (*PNG_FAST, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
 ZIP_FAST = 1
 MOST_HALF = 65504.0  # that 16 bits of IEEE 754 hold
+MOST_RECORD_BYTES = 2**26
 
 _log = logging.getLogger(__name__)
 
@@ -108,12 +108,12 @@ def kept_record(task: ShardTask) -> ShardRecord | None:
     task : ShardTask
     """
     try:
-        found = json.loads(record_file(task).read_text(encoding="utf-8"))
+        found = read_json(record_file(task), MOST_RECORD_BYTES, within=task.folder)
         record = ShardRecord(
             found["file"], found["sha256"], tuple(found["keys"]), dict(found["failed"])
         )
         whole = shard_sha256(task.folder / task.file) == record.sha256
-    except (OSError, ValueError, KeyError, TypeError):
+    except (InputError, ValueError, KeyError, TypeError):
         return None
     numbers = range(task.first, task.first + task.count)
     same = {*record.keys, *record.failed} == {f"{n:09d}" for n in numbers}

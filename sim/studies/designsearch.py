@@ -15,10 +15,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lscan.config.documents import Document, read_json
+from lscan.config.documents import Document
 from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError, LscanError
-from lscan.files.jsontext import json_text, write_json
+from lscan.files.jsontext import json_text, read_json, write_json
 from lscan.records import Floats, Mask, Progress
 from sim.scene import scene_of
 from sim.studies.catalogue import Catalogue

@@ -23,9 +23,10 @@ from lscan.calibration.stored import (
     check_theta,
 )
 from lscan.camera.parameters import CAMERA, COUNT
-from lscan.config.documents import Strict, check, read_json
+from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
+from lscan.files.jsontext import read_json
 from lscan.records import Axis
 
 FORMAT: Final = "lscan-metric-calibration"

@@ -18,10 +18,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from lscan.calibration.stored import Matrix, Place, Vector, check_covariance, of_length
-from lscan.config.documents import Strict, check, read_json
+from lscan.config.documents import Strict, check
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError
-from lscan.files.jsontext import write_json
+from lscan.files.jsontext import read_json, write_json
 from lscan.records import Floats, Provenance, Surface
 from lscan.surface.align.alignment import Alignment
 from lscan.surface.align.datum import PARAMETERS, YAW

@@ -32,7 +32,7 @@ def test_run_lengths_count_pixels_column_by_column(share: float) -> None:
     ("text", "why"),
     [
         ("[]", "is no manifest"),
-        ("{", "is no manifest"),
+        ("{", "is not valid JSON"),
         ('{"version": 99, "shards": []}', "of another version"),
         ('{"version": 1}', "is no manifest"),
     ],

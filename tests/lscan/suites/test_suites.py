@@ -135,9 +135,9 @@ def test_a_board_is_read_as_it_was_written(boards):
         ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n", "differ in marks"),
         ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n1,1,nan,1,0\n", "no table of marks"),
         ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n1,1,1,1,99\n", "no table of marks"),
-        ("board.json", b"{}", "is no Board"),
-        ("optics.json", b"[]", "is no OpticsSection"),
-        ("picture.png", b"none", "is no PNG"),
+        ("board.json", b"{}", "board.json: grid: field required"),
+        ("optics.json", b"[]", "optics.json: document: must be a table"),
+        ("picture.png", b"none", "is not an 8-bit"),
     ],
 )
 def test_a_harmed_board_is_refused_by_its_member(boards, tmp_path, member, content, said):
@@ -186,11 +186,11 @@ LINE_HEAD = b"x_mm,z_mm,height_dn,multiple,status\n"
         ("line.csv", LINE_HEAD + b"1,1,1,2,0\n" * 160, "no table of a scan's truth"),
         ("line.csv", LINE_HEAD + b"1,1,1,0,99\n" * 160, "no table of a scan's truth"),
         ("slices.csv", b"x_mm,y_mm,z_mm,status\nnan,1,1,7\n", "no table of a scan's truth"),
-        ("rig.json", b"[]", "is no rig"),
-        ("rig.json", b"{", "is no rig"),
+        ("rig.json", b"[]", "rig.json: document: must be a table"),
+        ("rig.json", b"{", "rig.json: is not valid JSON"),
         ("rig.json", b'{"camera": {}}', "camera.driver"),
-        ("frame-0001.png", b"none", "is no PNG"),
-        ("picture.png", b"none", "is no PNG"),
+        ("frame-0001.png", b"none", "is not an 8-bit"),
+        ("picture.png", b"none", "is not an 8-bit"),
     ],
 )
 def test_a_harmed_scan_is_refused_by_its_member(scans, tmp_path, member, content, said):

@@ -248,7 +248,7 @@ def test_pictures_are_read_side_by_side(alone: Path) -> None:
 
 def test_a_scene_that_is_no_json_is_refused_by_its_picture(alone: Path) -> None:
     harmed = replace(PictureDataset(alone)[1], members={"scene.json": b"{"})
-    with pytest.raises(InputError, match=r"scene\.json cannot be read.*|000000001"):
+    with pytest.raises(InputError, match=r"picture 000000001: scene\.json: is not valid JSON"):
         harmed.scene  # noqa: B018 - decoded when it is asked for
 
 
