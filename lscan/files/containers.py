@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from functools import partial
 from math import prod
 from pathlib import Path
-from typing import IO, BinaryIO, Literal, TypeAlias, cast
+from typing import IO, Any, BinaryIO, Literal, TypeAlias, cast
 
 import h5py
 import numpy as np
@@ -231,7 +231,7 @@ def open_zip(file: Path, most: int, kind: str) -> ReadMember:
     return read
 
 
-def npz_arrays(data: bytes, most: int, where: object) -> dict[str, NDArray[np.generic]]:
+def npz_arrays(data: bytes, most: int, where: object) -> dict[str, NDArray[Any]]:
     """The arrays of an NPZ file by name.
 
     Parameters
@@ -271,7 +271,7 @@ def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
         return opened.read(entry.file_size + 1)
 
 
-def _npy_array(data: bytes) -> NDArray[np.generic]:
+def _npy_array(data: bytes) -> NDArray[Any]:
     """The array of an NPY file; ValueError where it states another size than it has."""
     stream = io.BytesIO(data)
     if np.lib.format.read_magic(stream) != (1, 0):

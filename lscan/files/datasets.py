@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Annotated, Any, BinaryIO, Literal
+from typing import Annotated, Any, BinaryIO
 
 import h5py
 import numpy as np
@@ -54,7 +54,7 @@ class DatasetContent(BaseModel):
     """What reading a data set takes from its manifest, and what its users count on."""
 
     model_config = ConfigDict(strict=True)
-    version: Literal[1]
+    version: Annotated[int, Field(ge=VERSION, le=VERSION)]
     shards: list[ShardEntry]
     classes: dict[str, int] = {}
     failed: dict[str, str] = {}

@@ -15,8 +15,8 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import BufferedReader
 from pathlib import Path
-from typing import BinaryIO
 
 from lscan.errors import DiskError, InputError
 
@@ -71,13 +71,15 @@ def read_bytes(file: Path, most: int, within: Path | None = None) -> bytes:
         Where it is missing, no regular file, larger than ``most``, or outside ``within``.
     """
     with open_regular(file, most, within) as opened, reading_errors(file):
-        data = opened.read(most + 1)
+        size = os.fstat(opened.fileno()).st_size
+        data = opened.read(size)  # memory is taken for as much as is asked for
+        data += opened.read(most + 1 - len(data)) if opened.peek(1) else b""
     if len(data) > most:  # it grew, or said nothing of its size
         raise _too_large(file, len(data), most)
     return data
 
 
-def open_regular(file: Path, most: int, within: Path | None = None) -> BinaryIO:
+def open_regular(file: Path, most: int, within: Path | None = None) -> BufferedReader:
     """A regular file, open for reading.
 
     Parameters

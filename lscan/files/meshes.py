@@ -1,6 +1,7 @@
 """Mesh files, read safely: triangles in mm."""
 
 import io
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ FURTHEST_MM = 1e6
 """Of a vertex from the origin, along an axis: a kilometre."""
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
+
+
+# It warns, with a traceback, of pictures that a file names, which are not read here.
+logging.getLogger("trimesh").setLevel(logging.ERROR)
 
 
 def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:

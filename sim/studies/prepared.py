@@ -15,6 +15,7 @@ from lscan.board import read_board
 from lscan.calibration.api import PlaneMap, find_solver
 from lscan.calibration.solved import SolvedMap
 from lscan.errors import MeasurementError
+from lscan.files.containers import npz_arrays
 from lscan.records import (
     BoardReading,
     Bytes,
@@ -42,6 +43,7 @@ BESIDE = 7  # columns to either side whose scatter counts with a place's own
 REACH_PX = 10.0  # how far rigs are taken to be off: places within it are looked at on the board
 CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
 SENSOR, SPECKLE = NOISES
+MOST_PREPARED_BYTES = 2**30
 
 
 @dataclass(frozen=True)
@@ -120,10 +122,10 @@ class Prepared:
         packed : bytes
         study : Study, the same
         """
-        with np.load(BytesIO(packed), allow_pickle=False) as kept:
-            places = ScanPlaces(**{f.name: kept[f"places.{f.name}"] for f in fields(ScanPlaces)})
-            numbers = {name: kept[name] for name in _NUMBERS}
-            reading = _reading(study.calibrate, kept["sigma_px"], kept["status"])
+        kept = npz_arrays(packed, MOST_PREPARED_BYTES, "what a study keeps")
+        places = ScanPlaces(**{f.name: kept[f"places.{f.name}"] for f in fields(ScanPlaces)})
+        numbers = {name: kept[name] for name in _NUMBERS}
+        reading = _reading(study.calibrate, kept["sigma_px"], kept["status"])
         return cls(places=places, reading=reading, **numbers)
 
 

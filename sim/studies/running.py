@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lscan.config.rigfile import parse_rig
-from lscan.files.disk import write_atomically
+from lscan.files.disk import read_bytes, write_atomically
 from lscan.records import Floats, Progress
 from sim.scene import Scene, scene_of
 from sim.studies.geometric import GeometricRig
-from sim.studies.prepared import Prepared, prepare
+from sim.studies.prepared import MOST_PREPARED_BYTES, Prepared, prepare
 from sim.studies.rendered import RenderedRig
 from sim.studies.runner import cost_estimate, run_rows
 from sim.studies.store import Results, ResultStore, open_store
@@ -157,7 +157,7 @@ def prepared_of(study: Study, file: Path, say: Callable[[str], None]) -> bytes:
     """
     key = hashlib.sha256(repr((study.calibrate.document, study.scan.document, study.file.places))
                          .encode()).digest()  # fmt: skip
-    if file.exists() and (kept := file.read_bytes())[: len(key)] == key:
+    if file.exists() and (kept := read_bytes(file, MOST_PREPARED_BYTES))[: len(key)] == key:
         return kept[len(key) :]
     say("looks at pictures of the rig as it ought to be: a minute or two, once")
     packed = prepare(study).packed()

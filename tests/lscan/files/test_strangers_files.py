@@ -1,0 +1,618 @@
+"""Files of strangers, of every kind that is read: refused in one line, and nothing else happens.
+
+No link is followed out of the folder that was asked for, no FIFO waited for, and memory is not
+taken for what is only declared.  All that is hostile here is harmless: what lies outside is a FIFO
+that nobody writes to, so that whoever opens it is caught by the clock, and what is large is a hole.
+"""
+
+import io
+import json
+import os
+import resource
+import shutil
+import signal
+import socket
+import struct
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+import suite_cases
+from png_files import grey_png
+
+from lscan.acquisition.run import open_run
+from lscan.benchmark.savedrun import read_saved
+from lscan.calibration.file import load_calibration
+from lscan.calibration.multiview.file import load_camera, load_metric
+from lscan.calibration.multiview.viewsfile import load_views
+from lscan.config.board import load_board
+from lscan.config.rigfile import load_rig
+from lscan.config.shapes import load_shapes
+from lscan.errors import InputError
+from lscan.files.datasets import MEMBERS, PictureDataset
+from lscan.files.meshes import load_mesh
+from lscan.files.pictures import encoded, read_picture
+from lscan.suites import open_suite, pack_suite, verify_suite
+from lscan.suites.content import MANIFEST, manifest_bytes, member_sum
+from lscan.surface import load_surface
+from lscan.surface.align.keptalignment import load_alignment
+from lscan.surface.shaftfile import load_shaft
+
+MOST_MIB = 200  # beyond what was there before
+HANG_S = 20
+LARGE = 2**40
+
+KEY = "000000000"
+SHARDS = {"webdataset": "shard-000000.tar", "hdf5": "shard-000000.h5", "folders": "shard-000000"}
+Harm = Callable[[Path, Path], None]
+"""What harms a copy of what is whole: its path, and that of a FIFO outside."""
+
+
+@pytest.fixture(autouse=True)
+def _little_memory_and_time() -> Iterator[None]:
+    """No more address space than there is now and MOST_MIB, and an alarm for who waits."""
+
+    def hangs(*_: Any) -> None:
+        raise AssertionError(f"still at work after {HANG_S} s")
+
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    before, most = resource.getrlimit(resource.RLIMIT_AS)
+    limit = pages * resource.getpagesize() + MOST_MIB * 2**20
+    resource.setrlimit(resource.RLIMIT_AS, (limit, most))
+    handler = signal.signal(signal.SIGALRM, hangs)
+    signal.alarm(HANG_S)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, handler)
+    resource.setrlimit(resource.RLIMIT_AS, (before, most))
+
+
+def refusal(read: Callable[[], Any], name: str, said: str = "") -> None:
+    """The reading is refused in one line that names the file and says why."""
+    with pytest.raises(InputError) as caught:
+        read()
+    line = str(caught.value)
+    assert name in line
+    assert said in line
+    assert "\n" not in line
+    assert "written" not in line, "nothing was to be written"
+
+
+# ---- any file -------------------------------------------------------------------------------
+
+READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "surface": ("surface.nc", load_surface),
+    "calibration": ("calibration.json", load_calibration),
+    "metric calibration": ("metric.json", load_metric),
+    "camera": ("camera.json", load_camera),
+    "alignment": ("alignment.json", load_alignment),
+    "saved run": ("bench.json", read_saved),
+    "rig": ("rig.toml", load_rig),
+    "board": ("board.toml", load_board),
+    "shapes": ("shapes.toml", load_shapes),
+    "shaft": ("shaft.toml", load_shaft),
+    "views": ("views.toml", load_views),
+    "picture": ("picture.png", read_picture),
+    "mesh in PLY": ("mesh.ply", load_mesh),
+    "mesh in STL": ("mesh.stl", load_mesh),
+    "mesh in OBJ": ("mesh.obj", load_mesh),
+    "mesh in OFF": ("mesh.off", load_mesh),
+    "suite": ("suite.zip", open_suite),
+    "suite's manifest": ("suite.json", lambda file: open_suite(file.parent)),
+    "run": ("run.json", lambda file: open_run(file.parent)),
+    "data set": ("manifest.json", lambda file: PictureDataset(file.parent)),
+}
+
+
+def a_fifo(file: Path) -> None:
+    os.mkfifo(file)
+
+
+def a_device(file: Path) -> None:
+    file.symlink_to("/dev/zero")
+
+
+def a_loop(file: Path) -> None:
+    file.symlink_to(file.name)
+
+
+def a_socket(file: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as one:
+        here = Path.cwd()
+        os.chdir(file.parent)  # its path may be too long for a socket
+        one.bind(file.name)
+        os.chdir(here)
+
+
+def a_large_hole(file: Path) -> None:
+    file.touch()
+    os.truncate(file, LARGE)
+
+
+def nothing(file: Path) -> None:
+    file.touch()
+
+
+def deep_brackets(file: Path) -> None:
+    file.write_bytes(b"a = " * (file.suffix == ".toml") + b"[" * 100_000)
+
+
+def a_mark_alone(file: Path) -> None:
+    file.write_bytes(b"\xef\xbb\xbf\0")
+
+
+@pytest.mark.parametrize("kind", READERS)
+@pytest.mark.parametrize(
+    "attack",
+    [a_fifo, a_device, a_loop, a_socket, a_large_hole, nothing, deep_brackets, a_mark_alone],
+)
+def test_what_is_no_such_file_is_refused(
+    tmp_path: Path, kind: str, attack: Callable[[Path], None]
+) -> None:
+    name, read = READERS[kind]
+    folder = tmp_path / "given"
+    folder.mkdir()
+    attack(folder / name)
+    followed = attack is a_device and name.endswith(".toml")  # what a document is anchored to
+    refusal(lambda: read(folder / name), "/dev/zero" if followed else str(folder))
+
+
+# ---- data sets ------------------------------------------------------------------------------
+
+
+def members() -> dict[str, bytes]:
+    """The files of one picture, 4 by 3 px."""
+    picture = np.full((3, 4, 3), 9, np.uint8)
+    truth = io.BytesIO()
+    np.savez(truth, depth_mm=np.ones((3, 4), np.float32))
+    found = encoded(picture, ".png"), encoded(picture[..., 0], ".png"), truth.getvalue(), b"{}"
+    return dict(zip(MEMBERS, found, strict=True))
+
+
+def dataset(folder: Path, form: str, **changed: bytes) -> Path:
+    """A data set of one picture, some of whose files are others; its shard."""
+    shard = folder / SHARDS[form]
+    files = {f"{KEY}.{name}": data for name, data in (members() | changed).items()}
+    if form == "webdataset":
+        with tarfile.open(shard, "w", format=tarfile.USTAR_FORMAT) as tar:
+            for name, data in files.items():
+                info = tarfile.TarInfo(name)
+                info.size = len(data)
+                tar.addfile(info, io.BytesIO(data))
+    elif form == "hdf5":
+        with h5py.File(shard, "w") as file:
+            for name, data in files.items():
+                file[name.replace(".", "/", 1)] = np.frombuffer(data, np.uint8)
+    else:
+        shard.mkdir()
+        for name, data in files.items():
+            (shard / name).write_bytes(data)
+    entry = {"file": shard.name, "sha256": "0" * 64, "keys": [KEY]}
+    manifest = {"version": 1, "shards": [entry]}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    return shard
+
+
+def read_whole(folder: Path) -> None:
+    picture = PictureDataset(folder)[0]
+    assert picture.picture.shape == (3, 4, 3)
+    assert picture.labels.shape == (3, 4)
+    assert picture.truth["depth_mm"].tolist() == np.ones((3, 4)).tolist()
+    assert picture.scene == {}
+
+
+@pytest.fixture
+def outside(tmp_path: Path) -> Path:
+    """A FIFO that nobody writes to, beside the folder that is read."""
+    (tmp_path / "set").mkdir()
+    os.mkfifo(tmp_path / "outside")
+    return tmp_path / "outside"
+
+
+@pytest.mark.parametrize("form", SHARDS)
+def test_what_is_whole_is_read(outside: Path, form: str) -> None:
+    """And what the reader of a stranger's archive must put up with: times, and folders in it."""
+    dataset(outside.parent / "set", form)
+    read_whole(outside.parent / "set")
+
+
+def test_a_tar_file_of_other_programs_is_read(outside: Path) -> None:
+    """With pax headers, as GNU tar and bsdtar write for times to a nanosecond, and a folder."""
+    shard = dataset(outside.parent / "set", "webdataset")
+    with tarfile.open(shard, "w", format=tarfile.PAX_FORMAT) as tar:
+        folder = tarfile.TarInfo("folder")
+        folder.type = tarfile.DIRTYPE
+        tar.addfile(folder)
+        for name, data in members().items():
+            info = tarfile.TarInfo(f"{KEY}.{name}")
+            info.size, info.mtime = len(data), 1.5
+            tar.addfile(info, io.BytesIO(data))
+    read_whole(shard.parent)
+
+
+def tar_member(kind: bytes, **fields: Any) -> Harm:
+    """The first file of the picture is something else."""
+
+    def harm(shard: Path, outside: Path) -> None:
+        info = tarfile.TarInfo(f"{KEY}.{MEMBERS[0]}")
+        info.type, info.linkname = kind, str(outside)
+        if kind == tarfile.REGTYPE:
+            info.size = len(members()[MEMBERS[0]])
+        for name, value in fields.items():
+            setattr(info, name, value)
+        head = info.tobuf(tarfile.GNU_FORMAT)
+        shard.write_bytes(head + shard.read_bytes()[len(head) :])
+
+    return harm
+
+
+def tar_hole(shard: Path, outside: Path) -> None:
+    tar_member(tarfile.REGTYPE, size=2**34)(shard, outside)
+    os.truncate(shard, 2**35)
+
+
+def tar_of_a_twin(shard: Path, outside: Path) -> None:
+    with tarfile.open(shard, "a") as tar:
+        tar.addfile(tarfile.TarInfo(f"{KEY}.{MEMBERS[0]}"))
+
+
+def tar_packed(shard: Path, outside: Path) -> None:
+    shard.write_bytes(zlib.compress(shard.read_bytes()))
+
+
+def tar_cut(shard: Path, outside: Path) -> None:
+    os.truncate(shard, 700)
+
+
+def in_hdf5(make: Callable[[h5py.Group, str, Path], None]) -> Harm:
+    def harm(shard: Path, outside: Path) -> None:
+        with h5py.File(shard, "r+") as file:
+            del file[KEY][MEMBERS[0]]
+            make(file[KEY], MEMBERS[0], outside)
+
+    return harm
+
+
+def external_link(group: h5py.Group, name: str, outside: Path) -> None:
+    group[name] = h5py.ExternalLink(str(outside), "picture")
+
+
+def soft_link(group: h5py.Group, name: str, outside: Path) -> None:
+    group[name] = h5py.SoftLink("/elsewhere")
+
+
+def external_storage(group: h5py.Group, name: str, outside: Path) -> None:
+    group.create_dataset(name, (9,), np.uint8, external=[(str(outside), 0, h5py.h5f.UNLIMITED)])
+
+
+def virtual(group: h5py.Group, name: str, outside: Path) -> None:
+    layout = h5py.VirtualLayout((9,), np.uint8)
+    layout[:] = h5py.VirtualSource(str(outside), "picture", (9,))
+    group.create_virtual_dataset(name, layout)
+
+
+def terabyte(group: h5py.Group, name: str, outside: Path) -> None:
+    group.create_dataset(name, (LARGE,), np.uint8, chunks=(10,), compression="gzip")
+
+
+def large_chunk(group: h5py.Group, name: str, outside: Path) -> None:
+    group.create_dataset(name, (9,), np.uint8, chunks=(2**31,), maxshape=(None,))
+
+
+def numbers(group: h5py.Group, name: str, outside: Path) -> None:
+    group[name] = np.ones(9)
+
+
+def texts(group: h5py.Group, name: str, outside: Path) -> None:
+    group.create_dataset(name, (9,), h5py.string_dtype())
+
+
+def a_group(group: h5py.Group, name: str, outside: Path) -> None:
+    group.create_group(name)
+
+
+def group_elsewhere(shard: Path, outside: Path) -> None:
+    with h5py.File(shard, "r+") as file:
+        del file[KEY]
+        file[KEY] = h5py.ExternalLink(str(outside), "/")
+
+
+def first_file(place: Callable[[Path, Path], None]) -> Harm:
+    def harm(shard: Path, outside: Path) -> None:
+        file = shard / f"{KEY}.{MEMBERS[0]}"
+        file.unlink()
+        place(file, outside)
+
+    return harm
+
+
+def link_out(file: Path, outside: Path) -> None:
+    file.symlink_to(outside)
+
+
+def shard_elsewhere(shard: Path, outside: Path) -> None:
+    moved = outside.with_name("moved") / shard.name
+    moved.parent.mkdir()
+    shutil.move(shard, moved)
+    shard.symlink_to(moved)
+
+
+def shard_is_a_fifo(shard: Path, outside: Path) -> None:
+    shutil.rmtree(shard) if shard.is_dir() else shard.unlink()
+    os.mkfifo(shard)
+
+
+LINK = "a member is a link, or no file"
+NOT_HERE = f"{KEY}/{MEMBERS[0]}: is not an array in this file"
+SHARD_HARMS: dict[str, list[tuple[Harm, str]]] = {
+    "webdataset": [
+        (tar_member(tarfile.SYMTYPE), LINK),
+        (tar_member(tarfile.LNKTYPE), LINK),
+        (tar_member(tarfile.FIFOTYPE), LINK),
+        (tar_member(tarfile.CHRTYPE), LINK),
+        (tar_member(tarfile.GNUTYPE_LONGNAME), LINK),
+        (tar_member(tarfile.GNUTYPE_SPARSE), LINK),
+        (tar_member(tarfile.REGTYPE, size=-512), "too large, or not there"),
+        (tar_member(tarfile.REGTYPE, size=2**40), "too large, or not there"),
+        (tar_member(tarfile.REGTYPE, size=9999), ""),
+        (tar_member(tarfile.XHDTYPE, size=2**40), "too large, or not there"),
+        (tar_member(tarfile.REGTYPE, name="other"), "lacks the picture's picture.png"),
+        (tar_hole, "too large, or not there"),
+        (tar_of_a_twin, "has a member twice"),
+        (tar_packed, "is damaged, or no tar file"),
+        (tar_cut, "lacks the picture's labels.png"),
+        (shard_elsewhere, "is a link that leads out"),
+        (shard_is_a_fifo, "cannot be read: it is a FIFO"),
+    ],
+    "hdf5": [
+        *((in_hdf5(make), NOT_HERE) for make in
+          (external_link, soft_link, external_storage, virtual, a_group)),
+        (group_elsewhere, NOT_HERE),
+        (in_hdf5(terabyte), "is too large"),
+        (in_hdf5(large_chunk), "is too large"),
+        (in_hdf5(numbers), "is no row of bytes"),
+        (in_hdf5(texts), "is no row of bytes"),
+        (tar_cut, "cannot be read as HDF5"),
+        (shard_elsewhere, "is a link that leads out"),
+        (shard_is_a_fifo, "cannot be read: it is a FIFO"),
+    ],
+    "folders": [
+        (first_file(link_out), "is a link that leads out"),
+        (first_file(lambda file, _: os.mkfifo(file)), "cannot be read: it is a FIFO"),
+        (first_file(lambda file, _: file.mkdir()), "cannot be read: it is a folder"),
+        (first_file(lambda file, _: a_large_hole(file)), "is too large"),
+        (shard_elsewhere, "is a link that leads out"),
+        (shard_is_a_fifo, "cannot be read"),
+    ],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("form", "number"), [(form, k) for form in SHARD_HARMS for k in range(len(SHARD_HARMS[form]))]
+)
+def test_a_hostile_shard_is_refused(outside: Path, form: str, number: int) -> None:
+    harm, said = SHARD_HARMS[form][number]
+    shard = dataset(outside.parent / "set", form)
+    harm(shard, outside)
+    refusal(lambda: read_whole(shard.parent), "shard-000000" if said else KEY, said)
+
+
+@pytest.mark.parametrize("form", SHARDS)
+def test_nothing_is_waited_for_or_followed_to_verify_a_shard(outside: Path, form: str) -> None:
+    for harm in (shard_is_a_fifo, shard_elsewhere):
+        folder = outside.parent / harm.__name__
+        folder.mkdir()
+        harm(dataset(folder, form), folder / "outside")
+        refusal(PictureDataset(folder).verify, "shard-000000")
+
+
+def npz(name: str = "depth_mm.npy", data: bytes = b"", how: int = zipfile.ZIP_STORED) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", how) as file:
+        file.writestr(name, data)
+    return stream.getvalue()
+
+
+def npy(shape: tuple[int, ...], dtype: str = "<f4", data: bytes = b"") -> bytes:
+    stream = io.BytesIO()
+    header = {"descr": dtype, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(stream, header)
+    return stream.getvalue() + data
+
+
+def stating(size: int) -> bytes:
+    """An NPZ file whose list of members states another size than the member has."""
+    data = bytearray(npz(data=npy((1,), data=b"four")))
+    place = data.index(b"PK\x01\x02") + 24
+    data[place : place + 4] = struct.pack("<I", size)
+    return bytes(data)
+
+
+MEMBER_HARMS: list[tuple[str, bytes, str]] = [
+    ("picture.png", grey_png(60_000, 60_000, zlib.compress(b"")), "or too large"),
+    ("picture.png", b"GIF89a", "is not an 8-bit grey or RGB picture"),
+    ("picture.png", encoded(np.zeros((3, 4), np.uint8), ".jpg"), "is not an 8-bit"),
+    ("labels.png", grey_png(30_000, 30_000, zlib.compress(b"")), "or too large"),
+    ("labels.png", b"", "is not an 8-bit grey or RGB picture"),
+    ("truth.npz", npz(data=npy((2**38,))), "cannot be read as arrays"),
+    ("truth.npz", npz(data=npy((2, -3), data=bytes(24))), "cannot be read as arrays"),
+    ("truth.npz", npz(data=npy((1,), "|O", bytes(8))), "cannot be read as arrays"),
+    ("truth.npz", npz(data=b"\x93NUMPY\x03\0" + bytes(9)), "cannot be read as arrays"),
+    ("truth.npz", npz(data=npy((1,), data=b"four"), how=zipfile.ZIP_BZIP2), "cannot be read as"),
+    ("truth.npz", stating(2**31), "unpacks to too much: bytes (got 2147483648"),
+    ("truth.npz", stating(5), "cannot be read as arrays"),
+    ("truth.npz", b"", "cannot be read as arrays"),
+    ("scene.json", b"[" * 100_000, "is not valid JSON"),
+    ("scene.json", b"[" * 60 + b"]" * 60, "too deep in one another"),
+    ("scene.json", b'{"a": NaN}', "is not valid JSON"),
+    ("scene.json", b"[]", "is no scene"),
+    ("scene.json", b"\xff", "is not valid JSON"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(MEMBER_HARMS)))
+def test_a_hostile_file_of_a_picture_is_refused(outside: Path, number: int) -> None:
+    name, data, said = MEMBER_HARMS[number]
+    dataset(outside.parent / "set", "webdataset", **{name: data})
+    refusal(lambda: read_whole(outside.parent / "set"), f"picture {KEY}: {name}", said)
+
+
+ENTRY = {"file": "shard-000000.tar", "sha256": "0" * 64, "keys": [KEY]}
+MANIFESTS: list[Any] = [
+    None, [], "text", 7, {}, {"version": 1}, {"version": "1", "shards": []},
+    {"version": True, "shards": []}, {"version": 2, "shards": []}, {"version": 1, "shards": None},
+    {"version": 1, "shards": {}}, {"version": 1, "shards": "text"}, {"version": 1, "shards": [1]},
+    *({"version": 1, "shards": [{**ENTRY, **harm}]} for harm in (
+        {"file": "../outside"}, {"file": "/outside"}, {"file": "a/b.tar"}, {"file": ".hidden"},
+        {"file": ""}, {"file": 1}, {"file": None}, {"file": "a\nb"}, {"sha256": 1}, {"sha256": ""},
+        {"keys": KEY}, {"keys": None}, {"keys": [1]}, {"keys": [[KEY]]}, {"keys": {KEY: 1}},
+        {"keys": ["../../outside"]}, {"keys": [""]},
+    )),
+    {"version": 1, "shards": [], "classes": []}, {"version": 1, "shards": [], "failed": [1]},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", range(len(MANIFESTS)))
+def test_a_manifest_of_other_types_is_refused(outside: Path, number: int) -> None:
+    folder = outside.parent / "set"
+    dataset(folder, "webdataset")
+    (folder / "manifest.json").write_text(json.dumps(MANIFESTS[number]), encoding="utf-8")
+    refusal(lambda: PictureDataset(folder), "manifest.json", "is ")
+
+
+# ---- suites ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a suite of one line and, in another suite beside it, of a scan."""
+    folder = tmp_path_factory.mktemp("suites")
+    for name, make in (("lines", suite_cases.drawn_suite), ("scans", suite_cases.scan_suite)):
+        (folder / name).mkdir()
+        make(folder / name, 1)
+    return folder
+
+
+def replaced(folder: Path, member: str, change: Callable[[bytes], bytes]) -> None:
+    """Change a member as who knows the format does: with the right checksum."""
+    content = open_suite(folder).content
+    data = change((folder / member).read_bytes())
+    (folder / member).write_bytes(data)
+    members = {**content.members, member: member_sum(data)}
+    (folder / MANIFEST).write_bytes(manifest_bytes(content.model_copy(update={"members": members})))
+
+
+@pytest.mark.parametrize(
+    ("kind", "member"), [("lines", "case-000/stripe.json"), ("scans", "scan-000/rig.json")]
+)
+def test_a_suite_that_names_code_is_refused(
+    suite: Path, tmp_path: Path, kind: str, member: str
+) -> None:
+    """Nothing of it is imported, either from its folder or from its archive."""
+    folder = Path(shutil.copytree(suite / kind, tmp_path / kind))
+
+    def named(data: bytes) -> bytes:
+        content = json.loads(data)
+        content.get("stripe", content)["extractor"] = "code_of_a_stranger:function"
+        return json.dumps(content).encode()
+
+    replaced(folder, member, named)
+    pack_suite(folder, tmp_path / "packed.zip")
+    for path in (folder, tmp_path / "packed.zip"):
+        said = "stripe.extractor: names code, which would be run (got 'code_of_a_stranger"
+        refusal(lambda path=path: verify_suite(path), f"{path}: member {member}", said)
+
+
+def list_of_a_gigabyte(file: Path) -> None:
+    """The end of the archive states a list of members that is a hole."""
+    size = 2**30
+    end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, 1, 1, size, 0, 0)
+    file.touch()
+    os.truncate(file, size)
+    with file.open("ab") as stream:
+        stream.write(end)
+
+
+def member_of_gigabytes(file: Path) -> None:
+    data = bytearray(file.read_bytes())
+    place = data.index(b"PK\x01\x02")
+    data[place + 20 : place + 28] = struct.pack("<2I", 2**31, 2**31)
+    file.write_bytes(data)
+
+
+def repacked(file: Path) -> None:
+    with zipfile.ZipFile(file) as archive:
+        names = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in names.items():
+            archive.writestr(name, data)
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (list_of_a_gigabyte, "is no suite: neither folder nor archive"),
+        (member_of_gigabytes, "is compressed or too large"),
+        (repacked, "is compressed or too large"),
+    ],
+)
+def test_a_hostile_archive_is_refused(
+    suite: Path, tmp_path: Path, harm: Callable[[Path], None], said: str
+) -> None:
+    pack_suite(suite / "lines", tmp_path / "packed.zip")
+    harm(tmp_path / "packed.zip")
+    refusal(lambda: verify_suite(tmp_path / "packed.zip"), "packed.zip", said)
+
+
+@pytest.mark.parametrize("place", [link_out, lambda file, _: os.mkfifo(file)])
+def test_a_suites_folder_leads_nowhere(
+    suite: Path, tmp_path: Path, place: Callable[[Path, Path], None]
+) -> None:
+    folder = Path(shutil.copytree(suite / "lines", tmp_path / "lines"))
+    os.mkfifo(tmp_path / "outside")
+    (folder / "case-000" / "truth.csv").unlink()
+    place(folder / "case-000" / "truth.csv", tmp_path / "outside")
+    refusal(lambda: verify_suite(folder), "truth.csv")
+
+
+# ---- meshes ---------------------------------------------------------------------------------
+
+PLY = "ply\nformat binary_little_endian 1.0\n{}element vertex {}\nproperty float x\n"
+PLY += "property float y\nproperty float z\nelement face {}\nproperty list {} int "
+PLY += "vertex_indices\nend_header\n"
+PLACES = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+FACE = struct.pack("<3i", 0, 1, 2)
+MESHES = {
+    "vertices.ply": PLY.format("", 2**40, 1, "uchar").encode() + PLACES + b"\3" + FACE,
+    "faces.ply": PLY.format("", 3, 2**40, "uchar").encode() + PLACES + b"\3" + FACE,
+    "negative.ply": PLY.format("", -3, 1, "uchar").encode() + PLACES + b"\3" + FACE,
+    "corners.ply": PLY.format("", 3, 1, "uint").encode() + PLACES + b"\0\0\0\x7f" + FACE,
+    "triangles.stl": bytes(80) + b"\xff\xff\xff\xff" + bytes(50),
+    "vertices.off": b"OFF\n1000000000 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+    "vertices.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 1000000000\n",
+}
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_a_mesh_that_declares_more_than_it_has_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_bytes(MESHES[name])
+    refusal(lambda: load_mesh(tmp_path / name), name)
+
+
+def test_what_a_mesh_names_is_not_read(outside: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Materials and textures, whose absence is no matter for lines on the screen either."""
+    folder = outside.parent / "set"
+    text = "mtllib ../outside\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n"
+    (folder / "named.obj").write_text(text)
+    comment = "comment TextureFile ../outside\n"
+    data = PLY.format(comment, 3, 1, "uchar").encode() + PLACES + b"\3" + FACE
+    (folder / "named.ply").write_bytes(data)
+    for name in ("named.obj", "named.ply"):
+        assert len(load_mesh(folder / name).faces) == 1
+    assert caplog.text == ""
