@@ -1,10 +1,16 @@
 """Work on several pictures at once, whose results come in the pictures' order."""
 
+import ast
+import inspect
 import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
+
+from lscan.errors import InputError
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -47,3 +53,36 @@ def cores() -> int:
     """How many cores this process may use."""
     allowed = getattr(os, "sched_getaffinity", None)  # not on macOS and Windows
     return len(allowed(0)) if allowed else os.cpu_count() or 1
+
+
+def require_guarded_main() -> None:
+    """Refuse to start processes from the body of a script, which each of them would run again.
+
+    Python imports the script in every process that it starts, all but what stands beneath
+    ``if __name__ == "__main__":``.
+
+    Raises
+    ------
+    InputError
+        The call is made in a script's body; names the line.
+    """
+    main = sys.modules["__main__"]
+    file, spec = getattr(main, "__file__", None), getattr(main, "__spec__", None)
+    if file is None or (spec is not None and spec.name.endswith("__main__")):
+        return  # typed in, or of a package's __main__: not imported by others
+    lines = [
+        (one.lineno, one.frame.f_code.co_name)
+        for one in inspect.stack(0)
+        if one.frame.f_globals is vars(main)
+    ]
+    if not lines or lines[-1][1] != "<module>":
+        return
+    body, line = ast.parse(Path(file).read_bytes()).body, lines[-1][0]
+    (statement,) = (one for one in body if one.lineno <= line <= (one.end_lineno or line))
+    names = {one.id for one in ast.walk(statement) if isinstance(one, ast.Name)}
+    if not (isinstance(statement, ast.If) and "__name__" in names):
+        raise InputError(
+            "starts processes, each of which would run this script again",
+            where=f"{file} line {line}",
+            allowed='beneath if __name__ == "__main__":',
+        )

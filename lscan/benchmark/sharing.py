@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lscan.acquisition.inorder import require_guarded_main
 from lscan.benchmark.judging import JudgedExtractor, judge, worst_of
 from lscan.records import Progress
 from lscan.suites import open_suite
@@ -32,6 +33,7 @@ def judge_shared(
     cases : sequence of str, their names
     progress : callable or None, called with (done, all) cases
     """
+    require_guarded_main()
     groups = [cases[first : first + AT_ONCE] for first in range(0, len(cases), AT_ONCE)]
     parts: list[Part] = []
     # None is forked: threads of OpenCV and BLAS may hold locks.

@@ -170,12 +170,12 @@ def _identity(spec: DatasetSpec, count: int, form: Format) -> dict[str, Any]:
 
 def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None:
     """Refuse a folder that holds something else; else write what it is to hold."""
-    file = folder / IDENTITY
-    if not file.exists():
-        if list_names(folder):
-            raise InputError("is not empty", where=folder, allowed="a new folder")
+    file, names = folder / IDENTITY, list_names(folder)
+    if names <= {IDENTITY}:  # of a data set that was refused before its first shard
         write_json(file, identity)
         return
+    if IDENTITY not in names:
+        raise InputError("is not empty", where=folder, allowed="a new folder")
     if not resume:
         raise InputError("holds a data set", where=folder, allowed="--resume, or a new folder")
     kept = read_json(file, within=folder)

@@ -70,6 +70,9 @@ def make_suite(
         if (content.made_by, content.seed) != (made_by, spec.seed):
             raise InputError("holds another suite", where=file, allowed="another file")
         return file
+    for among in spec.case_sets:
+        for last in among.cases()[-1:]:
+            among.scene(last)  # refused before anything is written
     folder = file.with_name(f"{file.name}.partial").resolve()
     make_folder(folder)
     lock = lock_folder(folder, "lscan-sim suite make")
@@ -143,7 +146,8 @@ def _maker(spec: SuiteSpec) -> str:
 
 
 def _keep_identity(file: Path, identity: str) -> None:
-    if not file.exists():
+    """Write what the folder is to hold; refuse one that holds cases of something else."""
+    if not file.exists() or not list(file.parent.glob("*/*")):
         write_atomically(file, identity.encode())
     elif read_text(file) != identity:
         allowed = "another file, or its removal"
@@ -154,8 +158,6 @@ def _render_missing(
     spec: SuiteSpec, folder: Path, workers: int | Literal["none"], progress: Progress | None
 ) -> None:
     tasks = [task for among in spec.case_sets for task in _tasks(among, folder)]
-    for task in {task.among.kind: task for task in tasks}.values():
-        task.among.scene(task.first)
     count = sum(among.file.pictures for among in spec.case_sets)
     done = count - sum(len(task.cases) for task in tasks)
     with closing(_made(tasks, workers)) as made:

@@ -14,7 +14,7 @@ import numpy as np
 from distributed import Client, Future, KilledWorker, LocalCluster, WorkerPlugin, as_completed
 from distributed.comm import CommClosedError
 
-from lscan.acquisition.inorder import cores
+from lscan.acquisition.inorder import cores, require_guarded_main
 from lscan.errors import InputError, LscanError
 from lscan.records import Floats
 from sim.render.backend import THREADS
@@ -97,6 +97,7 @@ def open_client(workers: int = 2, scheduler: str | None = None) -> Iterator[Clie
 @contextmanager
 def _local_client(workers: int) -> Iterator[Client]:
     """A client of processes of this machine, none of which is left behind."""
+    require_guarded_main()
     before = set(multiprocessing.active_children())
     try:
         with dask.config.set(_LOCAL):

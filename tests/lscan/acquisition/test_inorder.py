@@ -1,12 +1,15 @@
 """Work on several items at once: order, errors, and an early end."""
 
+import runpy
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
 from lscan.acquisition import inorder
 from lscan.acquisition.inorder import in_order
+from lscan.errors import InputError
 
 
 @pytest.fixture(autouse=True)
@@ -56,3 +59,46 @@ def test_an_early_end_drops_what_has_not_begun() -> None:
 
 def test_nothing_to_do() -> None:
     assert list(in_order(abs, [])) == []
+
+
+GUARD = 'if __name__ == "__main__":\n    '
+
+
+@pytest.mark.parametrize(
+    ("body", "refused_at"),
+    [
+        ("require_guarded_main()", 3),
+        ("def work():\n    require_guarded_main()\n\n\nwork()", 7),
+        ("if True:\n    require_guarded_main()", 4),
+        (f"{GUARD}require_guarded_main()", None),
+        (f"def work():\n    require_guarded_main()\n\n\n{GUARD}work()", None),
+    ],
+)
+def test_processes_are_started_beneath_the_main_guard_of_a_script(
+    tmp_path: Path, body: str, refused_at: int | None
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(f"from lscan.acquisition.inorder import require_guarded_main\n\n{body}\n")
+    if refused_at is None:
+        runpy.run_path(str(script), run_name="__main__")
+        return
+    with pytest.raises(InputError) as caught:
+        runpy.run_path(str(script), run_name="__main__")
+    assert str(caught.value).startswith(f"{script} line {refused_at}: starts processes")
+    assert 'if __name__ == "__main__":' in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("ask", "given"),
+    [
+        ("from lscan.benchmark.sharing import judge_shared as asked", "'none', [], []"),
+        ("from sim.studies.cluster import open_client as asked", "2"),
+    ],
+)
+def test_all_that_starts_processes_asks_for_the_main_guard(
+    tmp_path: Path, ask: str, given: str
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(f"{ask}\nstarted = asked({given})\nstarted.__enter__()\n")
+    with pytest.raises(InputError, match="starts processes"):
+        runpy.run_path(str(script), run_name="__main__")

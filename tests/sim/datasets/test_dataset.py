@@ -20,10 +20,11 @@ from typer.testing import CliRunner
 from lscan.config.documents import merge
 from lscan.config.toml import write_toml
 from lscan.errors import InputError
-from lscan.files.datasets import PictureDataset
+from lscan.files.datasets import MOST_PICTURES, PictureDataset
 from lscan.files.runlengths import run_lengths
 from lscan.records import Status
 from sim.cli.app import app
+from sim.datasets import dataset as making
 from sim.datasets.dataset import make_dataset
 from sim.datasets.datasetshards import Format
 from sim.datasets.datasetspec import load_dataset_spec
@@ -223,6 +224,28 @@ def test_another_data_set_is_not_overwritten(tmp_path: Path, alone: Path) -> Non
     for resume, why in ((False, "holds a data set"), (True, "holds another data set")):
         with pytest.raises(InputError, match=why):
             make_dataset(other, alone, COUNT, workers="none", resume=resume)
+
+
+def test_a_data_set_that_was_refused_is_not_in_the_way(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where no scheduler answers: nothing was made, so nothing is to be gone on with."""
+
+    def refused(*_: Any) -> Any:
+        raise InputError("no scheduler answers")
+
+    monkeypatch.setattr(making, "_made", refused)
+    for seed in (7, 8):
+        spec = load_dataset_spec(spec_file(tmp_path, seed=seed))
+        with pytest.raises(InputError, match="no scheduler answers"):
+            make_dataset(spec, tmp_path / "set", COUNT, scheduler="tcp://127.0.0.1:9")
+
+
+def test_more_pictures_than_can_be_read_again_are_not_begun(tmp_path: Path) -> None:
+    spec = load_dataset_spec(spec_file(tmp_path))
+    with pytest.raises(InputError, match="too many pictures"):
+        make_dataset(spec, tmp_path / "set", MOST_PICTURES + 1)
+    assert not (tmp_path / "set").exists()
 
 
 def test_a_bit_that_flipped_is_noticed(tmp_path: Path, alone: Path) -> None:

@@ -21,6 +21,7 @@ from lscan.files.disk import lock_folder
 from lscan.records import Status
 from lscan.suites import open_suite, verify_suite
 from lscan.suites.layers import LEAST_DN, STEPS, layers_of_picture, layers_picture
+from sim.datasets import suite, suitespec
 from sim.datasets.labels import one_step_w_m2_sr
 from sim.datasets.lines import line_case, line_truths
 from sim.datasets.suite import make_cached_suite, make_suite
@@ -238,10 +239,31 @@ def test_another_seed_gives_other_pictures_and_is_not_mixed(made, spec_file):
     with pytest.raises(InputError, match="holds another suite"):
         make_suite(load_suite_spec(spec_file, seed=2), made, workers="none")
     folder = made.with_name("other.zip.partial")
-    folder.mkdir()
+    (folder / "case-000").mkdir(parents=True)
+    (folder / "case-000" / "truth.csv").touch()
     (folder / "identity.txt").write_text("lscan of yore\n")
     with pytest.raises(InputError, match="cases of another suite"):
         make_suite(load_suite_spec(spec_file), made.with_name("other.zip"), workers="none")
+
+
+def test_a_spec_that_is_refused_leaves_nothing_in_the_way(spec_file, tmp_path, monkeypatch):
+    """Refused before its first render, or by it: the corrected spec is made in its place."""
+    spec, file = load_suite_spec(spec_file, seed=5), tmp_path / "made.zip"
+
+    def refused(*_):
+        raise InputError("a scene is wrong")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(suitespec.CaseSet, "scene", refused)
+        with pytest.raises(InputError, match="a scene is wrong"):
+            make_suite(spec, file, workers="none")
+    assert not [*tmp_path.glob("*.partial")]
+    with monkeypatch.context() as patch:
+        patch.setattr(suite, "make_cases", refused)
+        with pytest.raises(InputError, match="a scene is wrong"):
+            make_suite(spec, file, workers="none")
+        with pytest.raises(InputError, match="a scene is wrong"):  # not of what lies there
+            make_suite(load_suite_spec(spec_file, seed=6), file, workers="none")
 
 
 def test_a_spec_is_the_same_wherever_it_lies_and_another_where_its_files_are(tmp_path):
