@@ -88,7 +88,12 @@ def check_values(value: Any, where: object, keys: tuple[str | int, ...] = ()) ->
 
 
 def dotted(keys: tuple[str | int, ...]) -> str:
-    """The keys that lead to a value, as one text."""
+    """The keys that lead to a value, as one text.
+
+    Parameters
+    ----------
+    keys : tuple, names and numbers
+    """
     return ".".join(map(str, keys))
 
 

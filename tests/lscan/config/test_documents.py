@@ -15,6 +15,7 @@ from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection
 from lscan.config.rigfile import load_rig
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
+from lscan.files.jsontext import read_json
 
 TABLES = st.recursive(
     st.integers() | st.text(max_size=3),
@@ -322,3 +323,22 @@ def test_other_faults_are_named_by_their_keys() -> None:
     """One message names all that must be corrected, as far as one line holds it."""
     with pytest.raises(InputError, match=r"sheet\.thickness_mm: .*; see also sheet\.apex_mm"):
         check(SheetSection, {"camera_mm": [0.0, -900.0, 300.0]}, where="rig.toml", prefix="sheet")
+
+
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_a_byte_order_mark_is_no_part_of_a_text(tmp_path: Path, mark: str) -> None:
+    """As Windows' editors write it: in TOML, in what it includes, and in JSON."""
+    (tmp_path / "base.toml").write_text(f"{mark}a = 1\n", encoding="utf-8")
+    (tmp_path / "a.toml").write_text(f'{mark}include = "base.toml"\nb = 2\n', encoding="utf-8")
+    (tmp_path / "a.json").write_text(f'{mark}{{"a": 1}}', encoding="utf-8")
+    assert read_document(tmp_path / "a.toml") == {"a": 1, "b": 2}
+    assert read_json(tmp_path / "a.json") == {"a": 1}
+
+
+@pytest.mark.parametrize("coding", ["utf-16", "utf-16-be"])
+def test_a_text_in_utf_16_is_said_to_be_one(tmp_path: Path, coding: str) -> None:
+    """As PowerShell writes what is redirected to a file."""
+    text = "a = 1" if coding == "utf-16" else "\ufeffa = 1"
+    (tmp_path / "a.toml").write_text(text, encoding=coding)
+    with pytest.raises(InputError, match=r"a\.toml: is not UTF-8 text \(got 'UTF-16; save it as"):
+        read_document(tmp_path / "a.toml")

@@ -30,7 +30,7 @@ from lscan.acquisition.run import open_run
 from lscan.benchmark.savedrun import read_saved
 from lscan.calibration.file import load_calibration
 from lscan.calibration.multiview.file import load_camera, load_metric
-from lscan.calibration.multiview.viewsfile import load_views
+from lscan.calibration.multiview.viewsfile import load_views, read_views
 from lscan.config.board import load_board
 from lscan.config.rigfile import load_rig
 from lscan.config.shapes import load_shapes
@@ -161,6 +161,30 @@ def test_what_is_no_such_file_is_refused(
     attack(folder / name)
     followed = attack is a_device and name.endswith(".toml")  # what a document is anchored to
     refusal(lambda: read(folder / name), "/dev/zero" if followed else str(folder))
+
+
+VIEWS = """
+board = { kind = "chessboard", columns = 5, rows = 4, square_mm = 10.0 }
+view = [{ picture = "../outside" }]
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "read"),
+    [
+        ('include = "../outside"', load_rig),
+        ('include = ["../set", "../outside"]', load_rig),
+        ('camera.driver = "sim"\ntrack.driver = "sim"\nboard.file = "../outside"', load_rig),
+        (VIEWS, lambda file: read_views(load_views(file))),
+        (VIEWS.replace("../outside", "/dev/zero"), lambda file: read_views(load_views(file))),
+    ],
+)
+def test_what_a_document_names_is_no_fifo(
+    outside: Path, text: str, read: Callable[[Path], Any]
+) -> None:
+    file = outside.parent / "set" / "given.toml"
+    file.write_text(text, encoding="utf-8")
+    refusal(lambda: read(file), "", "cannot be read: it is a")
 
 
 # ---- data sets ------------------------------------------------------------------------------
