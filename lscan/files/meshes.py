@@ -1,7 +1,6 @@
 """Mesh files, read safely: triangles in mm."""
 
 import io
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +16,6 @@ FURTHEST_MM = 1e6
 """Of a vertex from the origin, along an axis: a kilometre."""
 
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
-
-
-# It warns, with a traceback, of pictures that a file names, which are not read here.
-logging.getLogger("trimesh").setLevel(logging.ERROR)
 
 
 def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
@@ -47,7 +42,12 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if not content:
         raise InputError("is an empty file", where=path)
     try:
-        mesh = trimesh.load_mesh(io.BytesIO(content), file_type=kind, process=False)
+        mesh = trimesh.load_mesh(
+            io.BytesIO(content),
+            file_type=kind,
+            process=False,
+            skip_materials=kind == "ply",  # else it looks for the picture that one names
+        )
     except Exception as error:  # trimesh raises whatever its format readers raise
         message = " ".join(f"is not a mesh that can be read: {error}".split())
         raise InputError(message, where=path) from error
