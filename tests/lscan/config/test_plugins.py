@@ -1,7 +1,9 @@
 """Drivers, extractors and plane maps by name: found, or refused by file, key and choice."""
 
+import sys
 from importlib.metadata import entry_points
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +25,8 @@ from lscan.config.plugins import (
 )
 from lscan.config.rigfile import load_rig, parse_rig
 from lscan.errors import InputError
+from lscan.paper.experiment import Chain
+from lscan.paper.provenance import chain_versions
 from lscan.stripe import extract_stripe
 from lscan.stripe.extractors.paper import centroid
 from lscan.suites import find_suite, suites_found
@@ -203,3 +207,40 @@ def test_a_plugin_of_pytest_with_our_name_ends_the_run(
     install_package(monkeypatch, tmp_path, "rival", f"[pytest11]\n{name} = rival\n")
     with pytest.raises(pytest.UsageError, match=r"lscan .* and rival 2\.0 register a plug-in of"):
         sim.datasets.plugin.pytest_configure()
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("raise SystemExit(3)", "SystemExit: 3"),
+        ("def made(:", "SyntaxError: invalid syntax"),
+        ("made = 1 / 0", "ZeroDivisionError: division by zero"),
+        ("", "AttributeError: module 'wreck' has no attribute 'made'"),
+        ("raise MemoryError('two\\nlines')", "MemoryError: two lines"),
+    ],
+)
+def test_whatever_a_plugin_raises_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, said: str
+) -> None:
+    install_package(monkeypatch, tmp_path, "wreck", "[lscan.tracks]\nbad = wreck:made\n", code)
+    monkeypatch.delitem(sys.modules, "wreck", raising=False)
+    with pytest.raises(InputError) as caught:
+        find_plugin("lscan.tracks", "bad", where="rig.toml: track.driver")
+    start = f"rig.toml: track.driver: cannot be loaded from the package wreck 2.0: {said}"
+    assert str(caught.value).startswith(start)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_report_names_the_packages_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of both chains: extractors, and plane maps by their full names."""
+    entries = "[lscan.extractors]\nshiny = theirs:found\n"
+    install_package(monkeypatch, tmp_path / "a", "theirs", entries)
+    install_package(monkeypatch, tmp_path / "b", "bends", "[lscan.planemaps]\nbent = bends:map\n")
+    chains = Chain("graticule-2", ("max", "shiny")), Chain("bent-3", ("ml",))
+    best = SimpleNamespace(chain=chains[1])
+    experiment = SimpleNamespace(chain=chains[0], best=best)
+    found = chain_versions(experiment)  # type: ignore[arg-type]
+    assert (found["theirs"], found["bends"]) == ("2.0", "2.0")
+    assert found.keys() == {"lscan", "python", "numpy", "opencv", "theirs", "bends"}
