@@ -25,6 +25,8 @@ class InputError(LscanError):
     ) -> None:
         """Build the line ``where: what (got value; allowed: allowed)``.
 
+        What cannot be printed, as a line end in a name, is written as Python does.
+
         Parameters
         ----------
         what : str, what is wrong, in a few words
@@ -40,7 +42,8 @@ class InputError(LscanError):
             notes.append(f"allowed: {allowed}")
         prefix = f"{where}: " if where is not None else ""
         suffix = f" ({'; '.join(notes)})" if notes else ""
-        super().__init__(f"{prefix}{what}{suffix}")
+        text = f"{prefix}{what}{suffix}"
+        super().__init__("".join(c if c.isprintable() else repr(c)[1:-1] for c in text))
 
 
 class DiskError(InputError):

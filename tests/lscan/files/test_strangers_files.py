@@ -187,6 +187,21 @@ def test_what_a_document_names_is_no_fifo(
     refusal(lambda: read(file), "", "cannot be read: it is a")
 
 
+def test_names_with_line_ends_stay_in_one_line(outside: Path) -> None:
+    """Of a file, of a key in TOML, of a key in JSON, of a member."""
+    folder = outside.parent / "a\nset\x1b[31m"
+    folder.mkdir()
+    refusal(lambda: load_mesh(folder / "mesh.ply"), r"a\nset\x1b[31m")
+    (folder / "rig.toml").write_text('camera.driver = "sim"\ntrack.driver = "sim"\n"a\\nb" = 1\n')
+    refusal(lambda: load_rig(folder / "rig.toml"), r"a\nb: unknown section")
+    manifest = {"version": 1, "shards": [], "classes": {"a\nb": "text"}}
+    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    refusal(lambda: PictureDataset(folder), r"classes.a\nb: ")
+    shard = dataset(folder, "webdataset")
+    tar_member(tarfile.SYMTYPE, name="a\nb")(shard, outside)
+    refusal(lambda: read_whole(folder), r"a\nb", LINK)
+
+
 # ---- data sets ------------------------------------------------------------------------------
 
 
