@@ -96,7 +96,7 @@ def _read_hdf5(path: Path, wanted: _Wanted) -> _Read:
 def _read_classic(path: Path, wanted: _Wanted) -> _Read:
     """The same of NetCDF-3."""
     content = read_bytes(path, MOST_BYTES)
-    if content[3:4] not in (b"\x01", b"\x02"):
+    if content[3:4] == b"\x05":
         allowed = "NetCDF-4, as nccopy -k nc4 makes it"
         raise InputError("is a kind of NetCDF not read", where=path, value="CDF-5", allowed=allowed)
     try:

@@ -41,7 +41,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Name the mark; refuse other packages' plug-ins of our name, and baselines of two processes."""
+    """Name the mark; refuse plug-ins of others with our name, and baselines of two processes."""
     refuse_namesakes()
     config.addinivalue_line("markers", f"{MARK}(name): suite of the lscan fixtures of a test")
     config.stash[WRITTEN] = {}
