@@ -27,7 +27,8 @@ class World:
 
     scene: what a picture exposed now shows.  faults: by number of the read, from 0 on.
     delay: pictures that are under way in the camera.  closes: times after the first opening
-    that it cannot be opened.  stamps: it reports when it took a picture, else only 0.
+    that it cannot be opened.  stamps: it reports when it took a picture, else only 0; stamp: what
+    its clock makes of that time.
     obeys: what a setting becomes; by default what was asked.
     """
 
@@ -37,6 +38,7 @@ class World:
     delay: int = 1
     closes: int = 0
     stamps: bool = False
+    stamp: Callable[[float], float] = lambda exposed_s: exposed_s
     grey: bool = False
     obeys: Callable[[int, float], float] = lambda _, value: value
     last: Bytes | None = None
@@ -57,7 +59,9 @@ class FakeCapture:
 
     def __init__(self, world: World, away: bool = False) -> None:
         self._world, self._away = world, away
-        self._under_way = deque([(world.scene, time.monotonic())] * world.delay)
+        opened_s = time.monotonic()
+        earlier_s = (opened_s - world.period_s * ago for ago in range(world.delay, 0, -1))
+        self._under_way = deque((world.scene, exposed_s) for exposed_s in earlier_s)
         self._stamp_s = 0.0
         self._properties: dict[int, float] = {}
 
@@ -102,7 +106,7 @@ class FakeCapture:
         now_s = time.monotonic()  # before the scene is looked at: a stamp is never too late
         self._under_way.append((self._world.scene, now_s))
         scene, exposed_s = self._under_way.popleft()
-        self._stamp_s = exposed_s if self._world.stamps else 0.0
+        self._stamp_s = world.stamp(exposed_s) if (world := self._world).stamps else 0.0
         shape = (HEIGHT_PX, WIDTH_PX) if self._world.grey else (HEIGHT_PX, WIDTH_PX, 3)
         image = self._world.generator.integers(30, 60, shape, dtype=np.uint8)
         image[MARK, MARK] = scene if self._world.grey else (200, 100, scene)

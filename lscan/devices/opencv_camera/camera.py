@@ -10,6 +10,7 @@ import numpy as np
 
 from lscan.config.rig import CameraSection
 from lscan.devices.api import Grab
+from lscan.devices.opencv_camera.jpegfile import is_whole
 from lscan.devices.opencv_camera.opening import open_capture
 from lscan.devices.opencv_camera.options import OpenCapture, OpencvOptions
 from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture
@@ -49,6 +50,7 @@ class OpencvCamera:
         self._last: Bytes | None = None
         self._last_time_s = -math.inf
         self._shown_s = -math.inf
+        self._broken = 0  # pictures dropped, since they came damaged
         self._read = 0  # pictures of a file taken so far
         self._reader = self._new_reader()
         self._settings = self._first_settings()
@@ -135,6 +137,8 @@ class OpencvCamera:
 
     def close(self) -> None:
         """Release the camera; closing twice is harmless.  A grab under way elsewhere fails."""
+        if self._broken and not self._closed.is_set():
+            _log.warning("%s: %d broken pictures were dropped", self._options.name, self._broken)
         self._closed.set()
         self._reader.give_up()
 
@@ -168,7 +172,7 @@ class OpencvCamera:
         fault = ""
         for _ in range(retries + 1):
             picture = self._take(after_s)
-            fault = self._fault(picture.image, may_be_black)
+            fault = self._fault(picture, may_be_black)
             if not fault:
                 self._last = picture.image
                 return picture
@@ -179,15 +183,19 @@ class OpencvCamera:
         self._read += 1
         return picture
 
-    def _fault(self, image: Bytes, may_be_black: bool) -> str:
+    def _fault(self, picture: TimedPicture, may_be_black: bool) -> str:
         """What is wrong with a picture of the right size; "" where nothing is."""
+        image = picture.image
+        if picture.file is not None and not is_whole(picture.file, image):
+            self._broken += 1
+            return "a JPEG picture that is broken inside; check cable, network and camera"
         if self._options.is_black(image) and not may_be_black:
             exposure_ms = self._settings.exposure_ms
             said = f"a black picture, brightest pixel {image.max()} DN at {exposure_ms:g} ms"
             if self._options.black == "refuse":
                 return f"{said}; take the cap off, or set camera.options.black = 'accept'"
             _log.warning("%s: %s", self._options.name, said)
-        if self._last is not None and self._options.is_stuck(image, self._last):
+        if self._last is not None and self._reader.is_stuck(image, self._last):
             return "sent the picture of the grab before again; plug it in anew"
         return ""
 

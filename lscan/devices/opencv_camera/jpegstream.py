@@ -15,19 +15,19 @@ where there were none.  ``flush_ms`` and the track's settling time then cover wh
 set to.
 """
 
+import logging
 import time
 from typing import Any
 
-import cv2
 import numpy as np
 
 from lscan.devices.opencv_camera.address import ended_early
+from lscan.devices.opencv_camera.jpegfile import decoded, jpeg_file
 from lscan.devices.opencv_camera.options import Capture
-from lscan.devices.opencv_camera.reader import DeviceLost
 from lscan.errors import DeviceError
-from lscan.files.headers import read_header
-from lscan.files.pictures import MOST_PX, decode, too_large
 from lscan.records import Bytes
+
+_log = logging.getLogger(__name__)
 
 LEAST_WAIT_S = 0.001
 """A packet had sooner than this lay in a buffer.  Taking one takes some 0.01 to 0.1 ms."""
@@ -38,40 +38,54 @@ MOST_WAITING = 20_000
 MOST_BROKEN = 30
 """Pictures in a row that are no whole JPEG file, before giving up."""
 
-BEGIN, END = b"\xff\xd8", b"\xff\xd9"  # ISO/IEC 10918-1, table B.1: SOI and EOI
-_AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-
 
 class JpegStream:
-    """A capture that hands out packets (CAP_PROP_FORMAT -1), as one that hands out pictures."""
+    """A capture that hands out packets (CAP_PROP_FORMAT -1), as one that hands out pictures.
+
+    file: the JPEG file of the picture handed out last; b"" before any.
+    """
 
     def __init__(self, packets: Capture, name: str) -> None:
         """packets: opened, each of its pictures (1, N) uint8, a JPEG file.  name: in messages."""
         self._packets, self._name = packets, name
         self.isOpened, self.get, self.set = packets.isOpened, packets.get, packets.set
-        self.release, self.getBackendName = packets.release, packets.getBackendName
+        self.getBackendName = packets.getBackendName
+        self.file = b""
         self._first: Bytes | None = None
-        self._count, self._handed_out = 0, False
+        self._count, self._broken = 0, 0
+
+    def release(self) -> None:
+        """Release the capture, and say how many pictures were dropped that came cut short."""
+        if self._broken:
+            _log.warning("%s: %d pictures came cut short, dropped", self._name, self._broken)
+        self._packets.release()
+
+    @property
+    def early_end(self) -> str:
+        """What to say of a stream that ended with its first packet, or before any picture could
+        be handed out: it is a file's address.  "" where it was a stream."""
+        if self._count > 1 and self.file:
+            return ""
+        # Where the first packet is no picture, none of the others is likely one.
+        first = None if self._first is None else decoded(jpeg_file(self._first), self._name)
+        return ended_early(0 if first is None else self._count)
 
     def read(self) -> tuple[bool, Any]:
         """True and the next picture that was waited for, (H, W, 3) uint8, blue first, of the
-        size it was sent in; (False, None) where the stream has ended.
+        size it was sent in; (False, None) where no packet comes: the stream may have ended.
 
-        Raises DeviceError where packets are broken or never need to be waited for, DeviceLost
-        where it ends with its first, or before any could be handed out: it is a file's address.
+        Raises DeviceError where packets are broken or never need to be waited for.
         """
         for _ in range(MOST_BROKEN):
             packet = self._awaited()
             if packet is None:
-                if self._count <= 1 or not self._handed_out:
-                    # Where the first packet is no picture, none of the others is likely one.
-                    whole = self._first is not None and decoded(self._first, self._name) is not None
-                    raise DeviceLost(f"{self._name}: {ended_early(self._count if whole else 0)}")
                 return False, None
-            image = decoded(packet, self._name)
-            if image is not None:
-                self._handed_out = True
+            file = jpeg_file(packet)
+            image = decoded(file, self._name)
+            if file is not None and image is not None:
+                self.file = file
                 return True, image
+            self._broken += 1
         raise DeviceError(
             f"{self._name}: sent {MOST_BROKEN} broken JPEG pictures in a row; check the network "
             "and the camera, then scan with --resume"
@@ -96,23 +110,3 @@ class JpegStream:
             "camera does; a video goes into camera.options.file"
         )
 
-
-def decoded(packet: Bytes, name: str = "the stream") -> Bytes | None:
-    """The picture of a JPEG file, (H, W, 3) uint8, blue first; None where it is not whole.
-
-    packet: (N,) uint8; zeros and line ends after the end of the file are overlooked.  name: of
-    the stream, in messages.
-    Raises DeviceError, before it is decoded, where it is larger than any camera's.
-    """
-    tail = packet[-64:].tobytes().rstrip(b"\0\r\n")
-    if packet[:2].tobytes() != BEGIN or not tail.endswith(END):
-        return None
-    header = read_header(packet.tobytes())
-    if header is None:
-        return None
-    if too_large(header):
-        raise DeviceError(
-            f"{name}: sent a picture of {header.width_px} by {header.height_px} px; allowed: "
-            f"{MOST_PX} px in all; choose a smaller one in the camera"
-        )
-    return decode(packet, _AS_STORED)

@@ -8,12 +8,16 @@ import cv2
 from lscan.devices.opencv_camera.jpegstream import JpegStream
 from lscan.devices.opencv_camera.options import Capture, OpencvOptions
 from lscan.devices.opencv_camera.settings import fourcc_text
+from lscan.errors import DeviceError
 
 _log = logging.getLogger(__name__)
 
 
 def open_capture(options: OpencvOptions) -> Capture:
-    """The OpenCV capture that ``options`` names, opened or not; never raises by itself."""
+    """The OpenCV capture that ``options`` names, opened or not.
+
+    Raises DeviceError for a stream whose pictures are late by an unknown time.
+    """
     _silence_libraries()
     if options.device is not None:
         if isinstance(options.device, int):
@@ -54,9 +58,17 @@ def _open_stream(url: str, options: OpencvOptions) -> Capture:
     code = (fourcc_text(capture.get(cv2.CAP_PROP_FOURCC)) or "unknown").upper()
     if code == "MJPG" and capture.set(cv2.CAP_PROP_FORMAT, -1):
         return JpegStream(capture, options.name)
+    if not options.waits_for_change:
+        capture.release()
+        raise DeviceError(
+            f"{options.name}: coded as {code}, whose pictures come late by what the camera's encoder "
+            "and B-frames hold back, which cannot be seen from here: state camera.options.flush_ms, "
+            "not below the time from a change in view to its picture (mostly 200 to 3000; `lscan "
+            "devices RIG --test` measures it), or choose MJPEG where the camera has it"
+        )
     _log.warning(
-        "%s: coded as %s: a change of the picture size while it runs would go unseen; "
-        "choose MJPEG where the camera has it",
+        "%s: coded as %s: a change of the picture size while it runs, or a picture sent again and "
+        "again, would go unseen; choose MJPEG where the camera has it",
         options.name,
         code,
     )

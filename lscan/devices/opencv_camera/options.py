@@ -39,11 +39,18 @@ class OpencvOptions(Strict):
     For live cameras only:
     warm_up_frames: dropped after opening, while the camera settles.
     flush_frames: dropped after the call, since a picture that arrives after it may have been
-    exposed before it; flush_ms: only what arrives this long after the call is looked at.
+    exposed before it; flush_ms: only what arrives this long after the call is looked at.  A stream
+    that is not of JPEG pictures needs flush_ms stated: an encoder that codes changes holds
+    pictures back (B-frames, looking ahead), by a time that only a change in view shows.
     Should the program be held up for seconds, a device's own time stamps and, on a stream of
     JPEG pictures, flush_frames of 2 keep out what queued meanwhile (see jpegstream for what is
     not guaranteed); on a stream of another codec only flush_ms or the track's settle_s do.
-    retries: black or repeated pictures in a row that are passed over before giving up.
+    retries: black, broken or repeated pictures and failed readings in a row that are passed over
+    before giving up.
+    repeated: what becomes of a picture that is the one before, byte for byte: "refuse" it, since
+    noise makes pictures differ and a camera that repeats one is stuck, or "accept" it, where the
+    camera smooths all noise away.  A stream that codes changes repeats what does not change, and
+    is always accepted.
     reconnects: how often in one grab a camera that hung or vanished is opened again, each time
     after reconnect_wait_s: a cable just plugged in takes a second.
 
@@ -76,6 +83,7 @@ class OpencvOptions(Strict):
     timeout_s: Annotated[float, Field(ge=0.02, le=600)] = 5.0
     black: Literal["refuse", "report", "accept"] = "refuse"
     black_dn: Annotated[float, Field(ge=0, le=254)] = 1.0
+    repeated: Literal["refuse", "accept"] = "refuse"
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -91,6 +99,11 @@ class OpencvOptions(Strict):
     def live(self) -> bool:
         """Whether pictures come without being asked: a device or a stream."""
         return self.file is None
+
+    @property
+    def waits_for_change(self) -> bool:
+        """Whether it is stated how long a picture that arrives may be older than the call."""
+        return "flush_ms" in self.model_fields_set
 
     @property
     def exposure_settable(self) -> bool:
@@ -122,7 +135,8 @@ class OpencvOptions(Strict):
         ----------
         image, last : (H, W) or (H, W, 3) uint8 array, the picture and the one before
         """
-        return self.live and np.array_equal(image, last) and not self.is_black(image)
+        meant = self.repeated == "accept" or not self.live
+        return not meant and np.array_equal(image, last) and not self.is_black(image)
 
 
 class Capture(Protocol):

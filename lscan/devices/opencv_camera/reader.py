@@ -6,6 +6,7 @@ Every call to the capture, opening and releasing included, is made by that threa
 """
 
 import itertools
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -15,13 +16,22 @@ import cv2
 
 from lscan.config.rig import CameraSection
 from lscan.devices.opencv_camera.address import unopened
+from lscan.devices.opencv_camera.jpegstream import JpegStream
 from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOptions
 from lscan.devices.opencv_camera.settings import Settings, apply_settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes
 
+_log = logging.getLogger(__name__)
+
 OLDEST_STAMP_S = 60.0
 """A camera's own time stamp is on this machine's clock if it lies this near before arrival."""
+
+MOST_SAME_STAMPS = 2
+"""Pictures that follow one of the same time stamp, in a row, before stamps are of no use."""
+
+FAILED_WAIT_S = 0.02
+"""Between a reading that failed and the next: a lost device fails at once, again and again."""
 
 LIGHT = "check cable, power and light, or raise camera.options.timeout_s"
 ADDRESS = "check that pictures are sent from that address, or raise camera.options.timeout_s"
@@ -38,12 +48,13 @@ class TimedPicture:
 
     time_s: on the monotonic clock of this machine, when the camera says it took the picture,
     else when it arrived; of a file, when it was asked for.  arrived_s: when it arrived, on the
-    same clock.
+    same clock.  file: the JPEG file it was decoded from, where that is at hand.
     """
 
     image: Bytes
     time_s: float
     arrived_s: float
+    file: bytes | None = None
 
 
 class Reader:
@@ -75,6 +86,8 @@ class Reader:
         self._picture: TimedPicture | None = None
         self._newest: TimedPicture | None = None  # stays when it has been taken
         self._repeats = 0
+        self._codes_changes = False
+        self._stamp_s, self._same_stamps = 0.0, 0  # the camera's last, and how often it came again
         self._fault: DeviceError | None = None
         self._given_up = False
         self._thread = threading.Thread(target=self._run, name=options.name, daemon=True)
@@ -111,7 +124,8 @@ class Reader:
                 if self._repeats > options.retries:
                     raise DeviceError(
                         f"{options.name}: sent the same picture {self._repeats + 1} times; "
-                        f"it is stuck: plug it in anew or restart the stream"
+                        f"it is stuck: plug it in anew or restart the stream; where it smooths "
+                        "all noise of a still scene away, camera.options.repeated = 'accept'"
                     )
                 self._wait(deadline_s, *_late(old, after_s, options.timeout_s))
 
@@ -129,6 +143,10 @@ class Reader:
                 if picture is not None and (picture.time_s > after_s or not self._options.live):
                     return picture
                 self._wait(deadline_s, f"sent no new picture within {timeout_s:g} s")
+
+    def is_stuck(self, image: Bytes, last: Bytes) -> bool:
+        """Whether the camera sent its last picture again, though it should have changed."""
+        return not self._codes_changes and self._options.is_stuck(image, last)
 
     def give_up(self) -> None:
         """Let the thread release the camera and end; one that hangs is left to itself."""
@@ -159,6 +177,8 @@ class Reader:
             capture = self._open_capture(self._options)
             if not capture.isOpened():
                 raise DeviceLost(f"{self._options.name}: {unopened(self._options.url)}")
+            # Such a stream, MPEG-4 or H.264, sends the same picture where nothing changes.
+            self._codes_changes = bool(self._options.url) and not isinstance(capture, JpegStream)
             settings = apply_settings(capture, self._section, self._options)
             with self._changed:
                 self._settings = settings
@@ -181,32 +201,58 @@ class Reader:
         skip = options.warm_up_frames if options.live else 0
         last: Bytes | None = None
         for count in itertools.count():
+            raw = self._read_one(capture)
             if self._given_up:
                 return
-            ok, raw = capture.read()
-            if not ok or raw is None:
-                ended = f"holds no more pictures than {count}; plan fewer frames"
-                gone = f"is gone after {count} pictures; {RECONNECT}"
-                raise DeviceLost(f"{options.name}: {gone if options.live else ended}")
+            if raw is None:
+                raise DeviceLost(f"{options.name}: {self._ended(capture, count)}")
             now_s = time.monotonic()
-            time_s = now_s if options.device is None else _stamped_s(capture, now_s)
+            image = self._check(raw)
+            stuck, last = last is not None and self.is_stuck(image, last), image
+            time_s = now_s if stuck or options.device is None else self._taken_s(capture, now_s)
             if count < skip:
                 continue
-            image = self._check(raw)
-            stuck, last = last is not None and options.is_stuck(image, last), image
+            file = capture.file if isinstance(capture, JpegStream) else None
             with self._changed:
                 while not options.live and self._picture is not None and not self._given_up:
                     self._changed.wait()
                 self._repeats = self._repeats + 1 if stuck else 0
                 if not stuck:
-                    self._picture = self._newest = TimedPicture(image, time_s, now_s)
+                    self._picture = self._newest = TimedPicture(image, time_s, now_s, file)
                 self._changed.notify_all()
 
+    def _read_one(self, capture: Capture) -> object | None:
+        """A picture; None where as many readings fail in a row as a live camera is allowed."""
+        for _ in range(1 + (self._options.retries if self._options.live else 0)):
+            ok, raw = capture.read()
+            if (ok and raw is not None) or self._given_up:
+                return raw
+            time.sleep(FAILED_WAIT_S)
+        return None
 
-def _stamped_s(capture: Capture, now_s: float) -> float:
-    """When a device says that it took its last picture; ``now_s`` where its clock is another."""
-    stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-    return stamp_s if now_s - OLDEST_STAMP_S < stamp_s <= now_s else now_s
+    def _ended(self, capture: Capture, count: int) -> str:
+        """Why no further picture can be read after ``count``."""
+        if not self._options.live:
+            return f"holds no more pictures than {count}; plan fewer frames"
+        early = capture.early_end if isinstance(capture, JpegStream) else ""
+        return early or f"is gone after {count} pictures; {RECONNECT}"
+
+    def _taken_s(self, capture: Capture, now_s: float) -> float:
+        """When a device says that it took its last picture; ``now_s`` where its clock is another.
+
+        From where one stamp came for several pictures on, it is ``now_s`` too: the clock stands
+        still or counts whole seconds, and tells no old picture from a new one.
+        """
+        stamp_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
+        if not now_s - OLDEST_STAMP_S < stamp_s <= now_s or self._same_stamps > MOST_SAME_STAMPS:
+            return now_s
+        self._same_stamps = self._same_stamps + 1 if stamp_s == self._stamp_s else 0
+        self._stamp_s = stamp_s
+        if self._same_stamps > MOST_SAME_STAMPS:
+            said = "%s: gives one time stamp to many pictures; from now on their arrival counts"
+            _log.warning(said, self._options.name)
+            return now_s
+        return stamp_s
 
 
 def _late(old: TimedPicture | None, after_s: float, timeout_s: float) -> tuple[str, str]:

@@ -68,7 +68,7 @@ def test_waiting_for_a_hung_camera_ends_when_it_is_closed(call: str) -> None:
 def test_a_camera_closed_while_it_is_opened_anew_is_not_opened_again() -> None:
     """Between the attempts of a grab whose camera was unplugged lies a wait of ten minutes."""
     world = World(faults=dict.fromkeys(range(2, 100), "gone"))
-    camera = fake_camera(world, reconnects=5, reconnect_wait_s=FOREVER_S)
+    camera = fake_camera(world, retries=0, reconnects=5, reconnect_wait_s=FOREVER_S)
 
     def close() -> None:
         time.sleep(0.05)  # until the grab has found it gone

@@ -18,12 +18,12 @@ from loopback import listening
 
 from lscan.config.rig import CameraSection
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions, jpegstream, open_capture
+from lscan.devices.opencv_camera.jpegfile import decoded, is_whole, jpeg_file
 from lscan.devices.opencv_camera.jpegstream import (
     LEAST_WAIT_S,
     MOST_BROKEN,
     MOST_WAITING,
     JpegStream,
-    decoded,
 )
 from lscan.errors import DeviceError
 from lscan.records import Bytes
@@ -62,7 +62,7 @@ def packet(data: bytes) -> Bytes:
 @settings(max_examples=30)
 @given(width=st.integers(1, 90), height=st.integers(1, 90), pad=st.sampled_from([b"", b"\0\0\r\n"]))
 def test_a_packet_has_the_size_it_says(width: int, height: int, pad: bytes) -> None:
-    image = decoded(packet(jpeg(np.full((height, width, 3), 90, np.uint8)) + pad))
+    image = decoded(jpeg_file(packet(jpeg(np.full((height, width, 3), 90, np.uint8)) + pad)))
     assert image is not None and image.shape == (height, width, 3)
     # A uniform picture has no coefficient but the mean's: 90 is off by rounding alone.
     assert np.abs(image.astype(int) - 90).max() <= 1
@@ -72,12 +72,12 @@ def test_a_packet_has_the_size_it_says(width: int, height: int, pad: bytes) -> N
 @given(share=st.floats(0, 1, exclude_max=True))
 def test_a_packet_cut_short_is_no_picture(share: float) -> None:
     data = jpeg(picture(7))
-    assert decoded(packet(data[: int(share * len(data))])) is None
+    assert decoded(jpeg_file(packet(data[: int(share * len(data))]))) is None
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"\xff\xd8\xff\xd9", b"<html>busy</html>"])
 def test_what_is_no_jpeg_is_no_picture(data: bytes) -> None:
-    assert decoded(packet(data)) is None
+    assert decoded(jpeg_file(packet(data))) is None
 
 
 def test_a_picture_is_not_turned_on_its_side() -> None:
@@ -88,7 +88,7 @@ def test_a_picture_is_not_turned_on_its_side() -> None:
     marked = data[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + data[2:]
     turned = cv2.imdecode(packet(marked), cv2.IMREAD_COLOR)
     assert turned is not None and turned.shape[:2] == SIZE_PX  # the mark is understood
-    image = decoded(packet(marked))
+    image = decoded(jpeg_file(packet(marked)))
     assert image is not None and image.shape[:2] == SIZE_PX[::-1]
 
 
@@ -262,7 +262,7 @@ def test_another_codec_is_read_as_before_and_said(
     ffv1: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     with http(lambda write: write(ffv1), "video/avi") as url:
-        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120, flush_ms=100))
         assert "coded as FFV1: a change of the picture size" in caplog.text
         np.testing.assert_array_equal(capture.read()[1], picture(1))
         capture.release()
@@ -282,7 +282,7 @@ def test_another_codec_is_decoded_without_delay(ffv1: bytes) -> None:
         write(ffv1[end:])
 
     with http(send, "video/avi") as url:
-        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120, flush_ms=100))
         numbers = [number_of(capture.read()[1]) for _ in range(readable)]
         all_read.set()
         capture.release()

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,13 +21,17 @@ from lscan.errors import DeviceError
 SECTION = CameraSection(driver="opencv", width_px=WIDTH_PX, height_px=HEIGHT_PX)
 ALWAYS = 10**5
 """Reads until a fault that stays would end."""
+OPENED_S = time.monotonic()
+RETRIES = 5
+LOST = RETRIES + 1
+"""Failed readings in a row that make a camera lost."""
 
 
 def camera_in(world: World, **options: Any) -> OpencvCamera:
     given = {
         "device": 0,
         "warm_up_frames": 0,
-        "retries": 5,
+        "retries": RETRIES,
         "timeout_s": 60.0,
         "reconnect_wait_s": 0.0,
         **options,
@@ -90,9 +95,9 @@ def test_a_silent_address_is_named_and_no_cable() -> None:
 @pytest.mark.parametrize("fault", ["gone", "raise", "empty", "hang"])
 def test_a_camera_that_comes_back_goes_on(fault: str) -> None:
     world = World()
-    camera = camera_in(world, timeout_s=1.0, retries=50)
+    camera = camera_in(world, timeout_s=1.0)
     camera.grab()
-    from_now(world, fault, reads=1)
+    from_now(world, fault, reads=1 if fault in ("raise", "hang") else LOST)
     world.scene = 2
     deadline_s = time.monotonic() + 60
     while world.opened < 2 and time.monotonic() < deadline_s:
@@ -102,11 +107,23 @@ def test_a_camera_that_comes_back_goes_on(fault: str) -> None:
     camera.close()
 
 
+@pytest.mark.parametrize("fault", ["gone", "empty"])
+def test_readings_that_fail_now_and_then_lose_no_camera(fault: str) -> None:
+    world = World()
+    camera = camera_in(world)
+    for scene in range(2, 6):
+        from_now(world, fault, reads=RETRIES)
+        world.scene = scene
+        assert scene_of(camera.grab().image) == scene
+    assert world.opened == 1
+    camera.close()
+
+
 def test_one_that_stays_away_longer_than_it_is_called_is_an_error() -> None:
     world = World(closes=2)
     camera = camera_in(world, reconnects=2)
     camera.grab()
-    from_now(world, "gone", reads=1)
+    from_now(world, "gone", reads=LOST)
     with pytest.raises(DeviceError, match=r"cannot be opened.*lscan devices.*2 times anew"):
         for _ in range(3):
             camera.grab()
@@ -119,7 +136,7 @@ def test_one_that_comes_back_set_otherwise_is_refused() -> None:
     camera = camera_in(world)
     camera.grab()
     world.obeys = lambda key, value: 50.0 if key == cv2.CAP_PROP_EXPOSURE else value
-    from_now(world, "gone", reads=1)
+    from_now(world, "gone", reads=LOST)
     with pytest.raises(DeviceError, match=r"other settings \(exposure_ms: .*got 5.0, before 20.0"):
         for _ in range(3):
             camera.grab()
@@ -184,6 +201,23 @@ def test_the_libraries_write_nothing_of_their_own(
 def test_the_wrong_pictures_from_the_start(fault: str) -> None:
     with pytest.raises(DeviceError, match=r"pixel_format|the rig says"):
         camera_in(World(faults=dict.fromkeys(range(ALWAYS), fault)))
+
+
+@pytest.mark.parametrize("stamp", [lambda _: OPENED_S, float.__floor__], ids=["still", "seconds"])
+def test_stamps_that_tell_nothing_are_not_believed(
+    stamp: Callable[[float], float], caplog: pytest.LogCaptureFixture
+) -> None:
+    """Each picture shows what was there after the call, though all are stamped before it."""
+    world = World(stamps=True, stamp=stamp)
+    camera = camera_in(world, warm_up_frames=5, reconnects=0)
+    for scene in range(2, 12):
+        world.scene = scene
+        began_s = time.monotonic()
+        grab = camera.grab()
+        assert scene_of(grab.image) == scene
+        assert grab.time_s >= began_s  # its arrival
+    assert "gives one time stamp to many pictures" in caplog.text
+    camera.close()
 
 
 def test_passing_black_and_repeated_pictures_are_passed_over() -> None:

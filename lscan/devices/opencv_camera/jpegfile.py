@@ -1,0 +1,196 @@
+"""One JPEG picture as a camera sends it: where it ends, and whether it came whole.
+
+The format has no checksum.  A bit that turned within a coefficient is seen by nobody; what made the
+decoder lose its place mostly leaves it with data too few or too many at the end, which is looked
+for here (:func:`is_whole`).
+
+References
+----------
+ISO/IEC 10918-1, annexes B (markers, restart intervals) and F.2.2 (decoding the coded data).
+"""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from lscan.errors import DeviceError
+from lscan.files.headers import read_header
+from lscan.files.pictures import MOST_PX, decode, too_large
+from lscan.records import Bytes
+
+BEGIN, END = b"\xff\xd8", b"\xff\xd9"  # SOI and EOI, table B.1
+PADDING = b"\0\r\n\t \xff"
+"""What may stand before a picture; after its end, anything may."""
+
+TAIL = 8
+"""Bytes at the end of a run of coded data that are exchanged to see whether they are needed."""
+
+FILLERS = (b"\x5a\x3c" * (TAIL // 2), b"\xc3\x91" * (TAIL // 2))
+"""Coded data of no meaning; where one happens to decode to what was there, the other does not."""
+
+_AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+_LARGEST_START = 512  # a sector of zeros before the picture
+_MARKER = re.compile(rb"\xff+([^\x00\xff])")  # in coded data, 0xFF stands as 0xFF00 (B.1.1.5)
+_SEQUENTIAL = (0xC0, 0xC1)  # SOF0, SOF1: Huffman coding, all in one pass over the picture
+_LONE = frozenset({0x01, *range(0xD0, 0xD8)})
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How a picture's coded data are divided.
+
+    start: place of the first byte of them.  block_px: (height, width) of a coded unit (MCU).
+    units: (rows, columns) of them.  restart: units in a run between restart markers, all where
+    there are none.
+    """
+
+    start: int
+    block_px: tuple[int, int]
+    units: tuple[int, int]
+    restart: int
+
+    @property
+    def last_units(self) -> list[int]:
+        """Number of the last unit of each run."""
+        count = self.units[0] * self.units[1]
+        return [min(end, count) - 1 for end in range(self.restart, count + self.restart, self.restart)]
+
+
+def jpeg_file(packet: Bytes) -> bytes | None:
+    """The JPEG file in a packet, without what was padded; None where it has no beginning or end.
+
+    packet: (N,) uint8.
+    """
+    data = packet.tobytes()
+    begin = data.find(BEGIN, 0, _LARGEST_START + len(BEGIN))
+    if begin < 0 or data[:begin].strip(PADDING):
+        return None
+    data = data[begin:]
+    coded = next((place for marker, place in _segments(data) if marker == 0xDA), None)
+    if coded is None:
+        return None
+    # Progressive pictures have tables between their runs, so the first EOI is looked for.
+    end = next((m.end() for m in _MARKER.finditer(data, coded) if m[1] == END[1:]), None)
+    return None if end is None else data[:end]
+
+
+def decoded(data: bytes | None, name: str = "the stream") -> Bytes | None:
+    """The picture of a JPEG file, (H, W, 3) uint8, blue first; None where it cannot be decoded.
+
+    name: of the stream, in messages.
+    Raises DeviceError, before it is decoded, where it is larger than any camera's.
+    """
+    header = None if data is None else read_header(data)
+    if data is None or header is None:
+        return None
+    if too_large(header):
+        raise DeviceError(
+            f"{name}: sent a picture of {header.width_px} by {header.height_px} px; allowed: "
+            f"{MOST_PX} px in all; choose a smaller one in the camera"
+        )
+    return decode(np.frombuffer(data, np.uint8), _AS_STORED)
+
+
+def is_whole(data: bytes, image: Bytes) -> bool:
+    """Whether each run of a picture's coded data is as long as its decoding needs.
+
+    A decoder that lost its place goes on to the end of its data in silence, and fills what is
+    missing with grey.  So the data are decoded with bytes appended, which must change nothing, and
+    with the last bytes exchanged, which must change the last unit.  A picture coded in several
+    passes (progressive), as no camera does, is taken as it is.
+
+    Parameters
+    ----------
+    data : a JPEG file, from its beginning to its end
+    image : (H, W, 3) uint8 array, what ``decoded`` makes of it
+    """
+    layout = _layout(data)
+    if layout is None:
+        return True
+    runs = _runs(data[layout.start :])
+    if len(runs) != len(layout.last_units):
+        return False
+    head = data[: layout.start]
+    if not np.array_equal(image, _redecoded(head, [run + FILLERS[0] for run in runs])):
+        return False
+    needed = np.zeros(len(runs), dtype=bool)
+    for filler in FILLERS:
+        other = _redecoded(head, [run[:-TAIL] + filler for run in runs])
+        if other is None:
+            return False
+        changed = (image != other).any(axis=2)
+        needed |= [changed[unit].any() for unit in _places(layout)]
+        if needed.all():
+            return True
+    return False
+
+
+def _segments(data: bytes) -> Iterator[tuple[int, int]]:
+    """Marker and place of the content of each segment, up to that of the first coded data.
+
+    The content of SOS, the last, is what follows its own header: the coded data.
+    """
+    place = len(BEGIN)
+    while found := _MARKER.search(data, place):
+        marker, place = found[1][0], found.end()
+        if marker in _LONE:
+            continue
+        length = int.from_bytes(data[place : place + 2], "big")
+        if marker == END[1] or length < 2 or place + length > len(data):
+            return
+        yield marker, place + (length if marker == 0xDA else 2)
+        if marker == 0xDA:
+            return
+        place += length
+
+
+def _layout(data: bytes) -> _Layout | None:
+    """How the coded data are divided; None where they are not of one sequential pass."""
+    segments = dict(_segments(data))
+    frame = next((segments[marker] for marker in _SEQUENTIAL if marker in segments), None)
+    if frame is None or len(data) < frame + 9:
+        return None
+    height, width = (int.from_bytes(data[frame + n : frame + n + 2], "big") for n in (1, 3))
+    components = data[frame + 5]
+    factors = data[frame + 7 : frame + 6 + 3 * components : 3]
+    # A picture of one component is coded block by block, whatever its factors (A.2.2).
+    wide, high = (
+        (max(each >> 4 for each in factors), max(each & 15 for each in factors))
+        if components > 1
+        else (1, 1)
+    )
+    units = -(-height // (8 * high)), -(-width // (8 * wide))
+    interval = segments.get(0xDD)
+    restart = 0 if interval is None else int.from_bytes(data[interval : interval + 2], "big")
+    return _Layout(segments[0xDA], (8 * high, 8 * wide), units, restart or units[0] * units[1])
+
+
+def _runs(coded: bytes) -> list[bytes]:
+    """The runs of coded data between restart markers; [] where those are not in their order."""
+    runs, place = [], 0
+    for found in _MARKER.finditer(coded):
+        runs.append(coded[place : found.start()])
+        place = found.end()
+        if found[1] == END[1:]:
+            return runs if runs[-1] else runs[:-1]  # some cameras close the last run with a marker
+        if found[1][0] != 0xD0 + (len(runs) - 1) % 8:
+            return []
+    return []
+
+
+def _redecoded(head: bytes, runs: list[bytes]) -> Bytes | None:
+    """The picture of other runs of coded data."""
+    markers = [bytes([0xFF, 0xD0 + number % 8]) for number in range(len(runs) - 1)] + [END]
+    coded = b"".join(part for pair in zip(runs, markers, strict=True) for part in pair)
+    return decoded(head + coded)
+
+
+def _places(layout: _Layout) -> Iterator[tuple[slice, slice]]:
+    """Rows and columns of the last unit of each run."""
+    high, wide = layout.block_px
+    for last in layout.last_units:
+        row, column = divmod(last, layout.units[1])
+        yield slice(high * row, high * (row + 1)), slice(wide * column, wide * (column + 1))
