@@ -186,7 +186,7 @@ class OpencvCamera:
     def _fault(self, picture: TimedPicture, may_be_black: bool) -> str:
         """What is wrong with a picture of the right size; "" where nothing is."""
         image = picture.image
-        if picture.file is not None and not is_whole(picture.file, image):
+        if picture.file is not None and not is_whole(picture.file):
             self._broken += 1
             return "a JPEG picture that is broken inside; check cable, network and camera"
         if self._options.is_black(image) and not may_be_black:

@@ -12,9 +12,11 @@ ISO/IEC 10918-1, annexes B (markers, restart intervals) and F.2.2 (decoding the 
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from io import BytesIO
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from lscan.errors import DeviceError
 from lscan.files.headers import read_header
@@ -28,8 +30,8 @@ PADDING = b"\0\r\n\t \xff"
 TAIL = 8
 """Bytes at the end of a run of coded data that are exchanged to see whether they are needed."""
 
-FILLERS = (b"\x5a\x3c" * (TAIL // 2), b"\xc3\x91" * (TAIL // 2))
-"""Coded data of no meaning; where one happens to decode to what was there, the other does not."""
+FILLERS = tuple(bytes.fromhex(each) * (TAIL // 2) for each in ("5a3c", "c391", "2e71"))
+"""Coded data of no meaning; one or another happens to decode to what was there, not all."""
 
 _AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 _LARGEST_START = 512  # a sector of zeros before the picture
@@ -94,7 +96,7 @@ def decoded(data: bytes | None, name: str = "the stream") -> Bytes | None:
     return decode(np.frombuffer(data, np.uint8), _AS_STORED)
 
 
-def is_whole(data: bytes, image: Bytes) -> bool:
+def is_whole(data: bytes) -> bool:
     """Whether each run of a picture's coded data is as long as its decoding needs.
 
     A decoder that lost its place goes on to the end of its data in silence, and fills what is
@@ -102,10 +104,11 @@ def is_whole(data: bytes, image: Bytes) -> bool:
     with the last bytes exchanged, which must change the last unit.  A picture coded in several
     passes (progressive), as no camera does, is taken as it is.
 
+    Pillow decodes, since OpenCV's decoder writes of each such byte to the terminal.
+
     Parameters
     ----------
-    data : a JPEG file, from its beginning to its end
-    image : (H, W, 3) uint8 array, what ``decoded`` makes of it
+    data : a JPEG file, from its beginning to its end, that ``decoded`` can decode
     """
     layout = _layout(data)
     if layout is None:
@@ -113,18 +116,19 @@ def is_whole(data: bytes, image: Bytes) -> bool:
     runs = _runs(data[layout.start :])
     if len(runs) != len(layout.last_units):
         return False
-    head = data[: layout.start]
-    if not np.array_equal(image, _redecoded(head, [run + FILLERS[0] for run in runs])):
-        return False
-    needed = np.zeros(len(runs), dtype=bool)
-    for filler in FILLERS:
-        other = _redecoded(head, [run[:-TAIL] + filler for run in runs])
-        if other is None:
+    head, needed = data[: layout.start], np.zeros(len(runs), dtype=bool)
+    try:
+        image = _decoded_runs(head, runs)
+        if not np.array_equal(image, _decoded_runs(head, [run + FILLERS[0] for run in runs])):
             return False
-        changed = (image != other).any(axis=2)
-        needed |= [changed[unit].any() for unit in _places(layout)]
-        if needed.all():
-            return True
+        for filler in FILLERS:
+            # Where the cut parts a 0xFF from its 0x00, the 0xFF would begin a marker.
+            other = _decoded_runs(head, [run[:-TAIL].rstrip(b"\xff") + filler for run in runs])
+            needed |= [bool((image[place] != other[place]).any()) for place in _places(layout)]
+            if needed.all():
+                return True
+    except (OSError, ValueError):  # Pillow's of what it cannot decode
+        pass
     return False
 
 
@@ -181,11 +185,11 @@ def _runs(coded: bytes) -> list[bytes]:
     return []
 
 
-def _redecoded(head: bytes, runs: list[bytes]) -> Bytes | None:
-    """The picture of other runs of coded data."""
+def _decoded_runs(head: bytes, runs: list[bytes]) -> Bytes:
+    """The picture whose coded data are these runs.  Raises OSError or ValueError."""
     markers = [bytes([0xFF, 0xD0 + number % 8]) for number in range(len(runs) - 1)] + [END]
     coded = b"".join(part for pair in zip(runs, markers, strict=True) for part in pair)
-    return decoded(head + coded)
+    return np.asarray(Image.open(BytesIO(head + coded), formats=["JPEG"]))
 
 
 def _places(layout: _Layout) -> Iterator[tuple[slice, slice]]:

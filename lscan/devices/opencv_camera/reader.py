@@ -208,10 +208,11 @@ class Reader:
                 raise DeviceLost(f"{options.name}: {self._ended(capture, count)}")
             now_s = time.monotonic()
             image = self._check(raw)
-            stuck, last = last is not None and self.is_stuck(image, last), image
+            stuck = last is not None and self.is_stuck(image, last)
             time_s = now_s if stuck or options.device is None else self._taken_s(capture, now_s)
             if count < skip:
                 continue
+            last = image
             file = capture.file if isinstance(capture, JpegStream) else None
             with self._changed:
                 while not options.live and self._picture is not None and not self._given_up:

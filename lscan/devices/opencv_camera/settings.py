@@ -1,7 +1,8 @@
 """Setting a camera, and reading back what it made of it."""
 
 import math
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,12 @@ from lscan.devices.opencv_camera.options import Capture, OpencvOptions
 
 RELATIVE_TOLERANCE = 0.01
 """A number read back within one per cent counts as obeyed: cameras round to steps."""
+
+AGAIN_TIMES, AGAIN_WAIT_S = 5, 0.2
+"""How often, and after what wait, a value that was refused is set again: a camera whose automatic
+is just ending (a focus that still moves) refuses the value that the automatic held."""
+
+HELD_BY_AUTOMATICS = ("exposure_ms", "gain", "focus", "white_balance")
 
 Value = float | str
 
@@ -90,14 +97,29 @@ def apply_settings(capture: Capture, section: CameraSection, options: OpencvOpti
     }
     to_user = {"pixel_format": fourcc_text, "exposure_ms": exposure.to_ms}
     stated = _stated(section, options, exposure)
-    for name, (key, asked) in stated.items():
-        capture.set(key, to_raw.get(name, float)(asked))
-    settings = tuple(
-        Setting(name, asked, to_user.get(name, _reported)(capture.get(key)))
-        for name, (key, asked) in stated.items()
-    )
+    def set_and_read(names: Iterable[str]) -> dict[str, Setting]:
+        for name in names:
+            key, asked = stated[name]
+            capture.set(key, to_raw.get(name, float)(asked))
+        return {
+            name: Setting(name, asked, to_user.get(name, _reported)(capture.get(key)))
+            for name, (key, asked) in stated.items()
+        }
+
+    settings = set_and_read(stated)
+    for _ in range(AGAIN_TIMES):
+        refused = [name for name in HELD_BY_AUTOMATICS if _may_be_held(settings.get(name))]
+        if not refused:
+            break
+        time.sleep(AGAIN_WAIT_S)
+        settings = set_and_read(refused)
     exposure_ms = exposure.to_ms(capture.get(cv2.CAP_PROP_EXPOSURE))
-    return Settings(settings, exposure_ms or section.exposure_ms)
+    return Settings(tuple(settings.values()), exposure_ms or section.exposure_ms)
+
+
+def _may_be_held(setting: Setting | None) -> bool:
+    """Whether a value is the camera's to set, and not yet what was asked."""
+    return setting is not None and setting.got is not None and not setting.obeyed
 
 
 def _stated(

@@ -241,7 +241,10 @@ def test_an_obedient_camera_reports_all_it_was_asked() -> None:
     camera.close()
 
 
-def test_a_camera_that_ignores_a_setting_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_camera_that_ignores_a_setting_is_reported(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lscan.devices.opencv_camera.settings.AGAIN_WAIT_S", 0.0)
     def keeps_exposure(property_id: int, value: float) -> float:
         return 156.0 if property_id == cv2.CAP_PROP_EXPOSURE else value
 
@@ -251,6 +254,24 @@ def test_a_camera_that_ignores_a_setting_is_reported(caplog: pytest.LogCaptureFi
     ]
     assert "exposure_ms: asked 20.0, got 15.6" in caplog.text
     assert camera.grab().exposure_ms == 15.6  # what the camera says, not what was asked
+    camera.close()
+
+
+@pytest.mark.parametrize("refusals", [1, 4])
+def test_a_value_refused_while_an_automatic_ends_is_set_again(
+    refusals: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lscan.devices.opencv_camera.settings.AGAIN_WAIT_S", 0.0)
+    held = {cv2.CAP_PROP_FOCUS: 250.0, cv2.CAP_PROP_WB_TEMPERATURE: 6500.0}
+    tries: dict[int, int] = {}
+
+    def refuses_first(key: int, value: float) -> float:
+        tries[key] = tries.get(key, 0) + 1
+        return held[key] if key in held and tries[key] <= refusals else value
+
+    camera = fake_camera(World(obeys=refuses_first), strict_settings=True, **ASKED)
+    assert {each.name: each.got for each in camera.settings}.items() >= ASKED.items()
+    assert tries[cv2.CAP_PROP_FRAME_WIDTH] == 1  # a size set again would begin the stream anew
     camera.close()
 
 
