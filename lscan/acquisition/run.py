@@ -51,6 +51,8 @@ class Manifest(Strict):
 
     track_zero: name of the zero that the frames' positions count from, as
     ``lscan.devices.api.PlaceChecking`` gives it; left out where the track finds it anew.
+    camera_identity: of the camera, as ``lscan.devices.api.Identified`` gives it; left out where
+    that is unknown.
     """
 
     format: Literal["lscan-run"] = "lscan-run"
@@ -60,6 +62,7 @@ class Manifest(Strict):
     plan: Plan
     rig: Document
     track_zero: str | None = Field(default=None, exclude_if=lambda zero: zero is None)
+    camera_identity: str | None = Field(default=None, exclude_if=lambda identity: identity is None)
 
     def as_text(self) -> str:
         """The file's text: JSON with, as its last key, the SHA-256 of its meaning."""

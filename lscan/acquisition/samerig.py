@@ -4,6 +4,7 @@ What only says how a device is reached and waited for, its driver's ``connection
 differ: a track that is plugged in again may be another port, and a server another address.
 """
 
+import logging
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,10 @@ from typing import Any
 from lscan.config.documents import Document
 from lscan.config.plugins import find_plugin, installed
 from lscan.config.rigfile import RigFile
-from lscan.errors import InputError
+from lscan.devices.api import Camera, Identified
+from lscan.errors import DeviceError, InputError
+
+_log = logging.getLogger(__name__)
 
 _GROUPS = {"camera": "lscan.cameras", "track": "lscan.tracks"}
 
@@ -38,6 +42,35 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
             f"cannot go on: the run was begun {_in_words(key, was)}, this rig comes "
             f"{_in_words(key, is_now)}; restore it in {now.source}, or begin a new scan",
             where=where,
+        )
+
+
+def require_same_camera(begun_with: str | None, camera: Camera) -> None:
+    """Refuse to go on with a run with another camera; say so where that cannot be told.
+
+    Parameters
+    ----------
+    begun_with : str or None, identity of the camera the run was begun with
+    camera : Camera, the one it would go on with
+
+    Raises
+    ------
+    DeviceError
+        They are two.
+    """
+    if not isinstance(camera, Identified):
+        return
+    if begun_with is None or camera.identity is None:
+        _log.warning(
+            "nothing tells whether this is the camera the run was begun with (then: %s; now: %s)",
+            begun_with or "unknown",
+            camera.identity or "unknown",
+        )
+    elif begun_with != camera.identity:
+        raise DeviceError(
+            f"cannot go on: the run was begun with the camera {begun_with}, this one is "
+            f"{camera.identity}; name the first one as camera.options.device (`lscan devices` "
+            "lists what is connected), or begin a new scan"
         )
 
 

@@ -176,6 +176,7 @@ def acquire_into(
     positions_mm = plan.positions_mm()
     if progress is not None:
         progress(writer.written, writer.planned)
+    writer.keep_camera(camera)
     if not position_restored:
         _check_place(writer, track, positions_mm)
     with _keeping_zero(writer, track), _laser(track, plan) as switch:

@@ -31,8 +31,9 @@ from lscan.acquisition.run import (
     read_manifest,
     recording_versions,
 )
-from lscan.acquisition.samerig import require_same_rig
+from lscan.acquisition.samerig import require_same_camera, require_same_rig
 from lscan.config.rigfile import RigFile
+from lscan.devices.api import Camera, Identified
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import (
     append_synced,
@@ -113,6 +114,24 @@ class RunWriter:
         zero : str or None, name of the zero; None where the track has none
         """
         _change_manifest(self.path, track_zero=zero)
+
+    def keep_camera(self, camera: Camera) -> None:
+        """Write into run.json which camera takes a new run, or compare with what it says.
+
+        Parameters
+        ----------
+        camera : Camera, opened
+
+        Raises
+        ------
+        DeviceError
+            The frames so far were taken with another camera.
+        """
+        if not self.written:
+            identity = camera.identity if isinstance(camera, Identified) else None
+            _change_manifest(self.path, camera_identity=identity)
+        else:
+            require_same_camera(read_manifest(self.path)[0].camera_identity, camera)
 
     def append(self, frame: Frame) -> None:
         """Write the next frame; when this returns, pictures and row are on disk, synced.

@@ -81,6 +81,8 @@ def _print_listing(listing: dict[str, Any]) -> None:
             for camera in listing["cameras"]
         ]
         print_table("cameras", ["device", "state", "now", "format", "sizes"], rows)
+        for name, camera in sorted((n, each) for each in listing["cameras"] for n in each.by_id):
+            print(f"{camera.device} is also {name}, whatever its number becomes")
     else:
         print("cameras: none found")
     ports = listing["serial_ports"]

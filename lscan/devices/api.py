@@ -178,6 +178,15 @@ class Camera(Protocol):
 
 
 @runtime_checkable
+class Identified(Protocol):
+    """A camera that may be exchanged for another at the same place, as behind a number."""
+
+    @property
+    def identity(self) -> str | None:
+        """What tells it from others, such as maker, model and serial number; None if unknown."""
+
+
+@runtime_checkable
 class Previewing(Protocol):
     """A camera that can show what it sees without a grab, at its full rate."""
 

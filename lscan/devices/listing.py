@@ -4,7 +4,7 @@ import importlib
 import sys
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -13,6 +13,7 @@ from lscan.config.plugins import find_entry, find_plugin, installed
 from lscan.config.rigfile import RigFile, drivers_of
 from lscan.devices.api import CapabilityReporting, Fact
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
+from lscan.devices.opencv_camera.identity import ROOT, names_by_id
 from lscan.devices.opencv_camera.settings import fourcc_text
 from lscan.errors import InputError
 
@@ -39,7 +40,7 @@ class VideoDevice:
     """A camera as found.  state: "ready", or why not.
 
     size_px, pixel_format, fps: as it stands when opened.  sizes_px: those it takes when asked,
-    of the common ones.
+    of the common ones.  by_id: its names in /dev/v4l/by-id, which stay when its number changes.
     """
 
     device: int | str
@@ -48,6 +49,7 @@ class VideoDevice:
     pixel_format: str | None = None
     fps: float | None = None
     sizes_px: tuple[tuple[int, int], ...] = ()
+    by_id: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,7 @@ def serial_ports() -> list[SerialPort] | None:
 
 def video_devices(
     open_device: Callable[[OpencvOptions], Capture] = open_capture,
-    folder: Path = Path("/dev"),
+    root: Path = ROOT,
 ) -> list[VideoDevice]:
     """The cameras of this machine, each opened for a moment and asked what it can do.
 
@@ -78,8 +80,9 @@ def video_devices(
     ----------
     open_device : callable
         Opens a device as ``open_capture`` does.
-    folder : Path
-        Whose ``video*`` are tried on Linux; elsewhere the first few numbers are.
+    root : Path
+        Of the file system, whose ``dev/video*`` are tried on Linux; elsewhere the first few
+        numbers are.
 
     Returns
     -------
@@ -87,8 +90,12 @@ def video_devices(
         Sizes in px; on Linux also of devices that do not open, with the reason.
     """
     if sys.platform == "linux":
-        found = sorted(folder.glob("video*"), key=lambda path: (len(path.name), path.name))
-        return [_probe(str(path), open_device) for path in found]
+        found = sorted(root.glob("dev/video*"), key=lambda path: (len(path.name), path.name))
+        names = names_by_id(root)
+        return [
+            replace(_probe(str(path), open_device), by_id=names.get(path.resolve(), ()))
+            for path in found
+        ]
     tried = [_probe(number, open_device) for number in range(NUMBERS_TRIED)]
     return [device for device in tried if device.size_px is not None]
 

@@ -19,6 +19,7 @@ from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, one_line
 
 State = Literal["idle", "scanning", "paused", "stopping", "done", "failed"]
+SOON = "after this frame, or once a camera or track that hangs is given up"
 KEPT = "frames are kept; Resume goes on"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
@@ -105,7 +106,7 @@ class Scanning:
         """End after the frame being taken, to be resumed.  Raises NotNow where none goes on."""
         if self._state != "scanning":
             raise NotNow("no scan is going on")
-        self._stop("paused", "pausing after this frame")
+        self._stop("paused", f"pausing {SOON}")
 
     def stop(self) -> None:
         """End after the frame being taken.  Raises NotNow where no scan goes on or is paused."""
@@ -113,14 +114,14 @@ class Scanning:
             with self._lock:
                 self._state, self._message = "idle", KEPT
         elif self.active:
-            self._stop("idle", "stopping after this frame")
+            self._stop("idle", f"stopping {SOON}")
         else:
             raise NotNow("no scan is going on")
 
     def close(self) -> Path | None:
         """Stop a scan and wait for its end; the folder of a scan that is not finished."""
         if self.active:
-            self._stop("idle", "stopping after this frame")
+            self._stop("idle", f"stopping {SOON}")
         if self._thread is not None:
             self._thread.join()
         unfinished = self._thread and self._done < self._rig_file.rig.plan.frames

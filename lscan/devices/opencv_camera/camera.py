@@ -10,6 +10,7 @@ import numpy as np
 
 from lscan.config.rig import CameraSection
 from lscan.devices.api import Grab
+from lscan.devices.opencv_camera.identity import device_identity
 from lscan.devices.opencv_camera.jpegfile import is_whole
 from lscan.devices.opencv_camera.opening import open_capture
 from lscan.devices.opencv_camera.options import OpenCapture, OpencvOptions
@@ -54,6 +55,8 @@ class OpencvCamera:
         self._read = 0  # pictures of a file taken so far
         self._reader = self._new_reader()
         self._settings = self._first_settings()
+        self.identity = self._device_identity()
+        """What tells it from other cameras; None for a stream, a file, and where unknown."""
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -221,8 +224,17 @@ class OpencvCamera:
             _log.warning("%s: does not do as it is set: %s", self._options.name, ignored)
         return settings
 
+    def _device_identity(self) -> str | None:
+        return device_identity(self._options.device) or self._options.file
+
     def _reconnect(self) -> None:
         settings = self._open_anew()
+        if (identity := self._device_identity()) != self.identity:
+            raise DeviceError(
+                f"{self._options.name}: what came back is another camera ({identity or 'unknown'}, "
+                f"before {self.identity or 'unknown'}); plug the first one in, or name it by "
+                "camera.options.device, then scan with --resume"
+            )
         if settings != self._settings:
             changed = zip(settings.settings, self._settings.settings, strict=True)
             others = "; ".join(f"{now}, before {was.got}" for now, was in changed if now != was)

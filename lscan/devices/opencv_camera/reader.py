@@ -33,6 +33,9 @@ MOST_SAME_STAMPS = 2
 FAILED_WAIT_S = 0.02
 """Between a reading that failed and the next: a lost device fails at once, again and again."""
 
+QUIET_WAIT_S = 1.0
+"""A wait for a camera to let go that is longer is spoken of."""
+
 LIGHT = "check cable, power and light, or raise camera.options.timeout_s"
 ADDRESS = "check that pictures are sent from that address, or raise camera.options.timeout_s"
 RECONNECT = "check cable and power, then scan with --resume"
@@ -153,7 +156,11 @@ class Reader:
         with self._changed:
             self._given_up = True
             self._changed.notify_all()
-        self._thread.join(self._options.timeout_s)
+        timeout_s = self._options.timeout_s
+        self._thread.join(min(QUIET_WAIT_S, timeout_s))
+        if self._thread.is_alive() and timeout_s > QUIET_WAIT_S:
+            _log.warning("%s: hangs; it is waited for up to %g s", self._options.name, timeout_s)
+            self._thread.join(timeout_s - QUIET_WAIT_S)
 
     def _wait(self, deadline_s: float, late: str, remedy: str = "") -> None:
         """Wait for a change; raises the reader's fault, or DeviceLost past the deadline.

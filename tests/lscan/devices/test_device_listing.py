@@ -109,8 +109,9 @@ def test_without_pyserial_no_port_is_listed(monkeypatch: pytest.MonkeyPatch) -> 
 
 @pytest.mark.skipif(listing.sys.platform != "linux", reason="looks for /dev/video* on Linux only")
 def test_video_devices_are_asked_what_they_can(tmp_path: Path) -> None:
+    (tmp_path / "dev").mkdir()
     for name in ("video0", "video2", "video10"):
-        (tmp_path / name).touch()
+        (tmp_path / "dev" / name).touch()
 
     def takes_small_sizes(key: int, value: float) -> float:
         limits = {cv2.CAP_PROP_FRAME_WIDTH: 640, cv2.CAP_PROP_FRAME_HEIGHT: 480}
@@ -124,7 +125,7 @@ def test_video_devices_are_asked_what_they_can(tmp_path: Path) -> None:
         return world.open(options)
 
     first, second, last = video_devices(open_device, tmp_path)
-    assert first.device == str(tmp_path / "video0")
+    assert first.device == str(tmp_path / "dev/video0")
     assert (first.state, first.sizes_px) == ("ready", ((320, 240), (640, 480)))
     assert second.state == "failed: broken driver"
     assert last.state.startswith("cannot be opened")
@@ -135,7 +136,8 @@ def test_a_device_that_hangs_does_not_hang_the_list(
 ) -> None:
     monkeypatch.setattr(listing, "PROBE_S", 0.05)
     monkeypatch.setattr(listing.sys, "platform", "linux")
-    (tmp_path / "video0").touch()
+    (tmp_path / "dev").mkdir()
+    (tmp_path / "dev/video0").touch()
     world = World()
 
     def hang(options: OpencvOptions) -> Any:

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from itertools import pairwise
@@ -79,6 +80,27 @@ def test_a_camera_that_hangs_is_given_up_in_time() -> None:
         camera.grab()
     world.free.set()  # until here the fake hangs
     camera.close()
+
+
+def test_a_wait_for_a_camera_that_hangs_is_said_at_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not after the wait, of up to ``timeout_s``."""
+    monkeypatch.setattr("lscan.devices.opencv_camera.reader.QUIET_WAIT_S", 0.05)
+    world = World()
+    camera = camera_in(world, timeout_s=60.0)
+    camera.grab()
+    hung = world.reads + 1
+    world.faults = dict.fromkeys(range(hung, ALWAYS), "hang")
+    while world.reads <= hung:
+        time.sleep(0.001)
+    closing = threading.Thread(target=camera.close)
+    closing.start()
+    while "hangs; it is waited for up to 60 s" not in caplog.text:
+        time.sleep(0.001)
+    assert closing.is_alive()
+    world.free.set()
+    closing.join()
 
 
 def test_a_silent_address_is_named_and_no_cable() -> None:
