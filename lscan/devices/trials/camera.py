@@ -19,6 +19,7 @@ from lscan.devices.trials.photontransfer import (
     Linearity,
     PhotonTransfer,
     dark_level,
+    flicker,
     grey_levels,
     linearity,
     photon_transfer,
@@ -209,6 +210,13 @@ def try_camera(
     settings = camera.settings if isinstance(camera, SettingsReadBack) else ()
     series, timing = grab_series(camera, pictures, channel, progress)
     levels = grey_levels(series)
+    if seen := flicker(series):
+        bands = "all rows alike" if seen.period_rows is None else f"bands of {seen.period_rows:.0f} rows"
+        remarks.append(
+            f"light: it flickers by {100 * seen.share:.1f} % ({bands}), as of a lamp on the mains; "
+            "taken out of the noise, not out of the linearity; use a lamp on direct current, or an "
+            "exposure of a multiple of 10 ms (mains of 50 Hz) or 8.33 ms (60 Hz)"
+        )
     straight = None
     if isinstance(camera, ExposureControl) and camera.can_set_exposure:
         more, exposures_ms, means_dn = _exposure_series(camera, pictures, channel)

@@ -12,6 +12,7 @@ measuring by the same pictures would put a pixel that happened to be bright in a
 level, and so flatten the slope.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,22 @@ level 3 standard deviations from the limit, and it takes less than 1 % off the v
 
 LINEAR_DN = (0.05 * BRIGHTEST_DN, 0.95 * BRIGHTEST_DN)
 """Grey values between which a camera is judged for linearity (EMVA 1288, "Linearity")."""
+
+
+LEAST_FLICKER = 0.05
+"""Part of a pixel's noise variance that a change of the light must reach to be taken out of it."""
+
+
+@dataclass(frozen=True)
+class Flicker:
+    """A periodic change of the light, as of a lamp on the mains.
+
+    share: standard deviation of the mean grey value of a row from picture to picture, relative.
+    period_rows: of the bands that a rolling shutter makes of it; None where all rows change alike.
+    """
+
+    share: float
+    period_rows: float | None
 
 
 @dataclass(frozen=True)
@@ -113,19 +130,48 @@ class Linearity:
     offset_dn: float
 
 
+def flicker(pictures: Bytes) -> Flicker | None:
+    """The flicker of the light that pictures of a still scene show; None where it is no matter.
+
+    Of a row the light changes by a share, so its grey values change together; noise of the rows
+    themselves does so too, but has no period.
+
+    Parameters
+    ----------
+    pictures : (N, H, W) uint8, one channel, N at least 2
+    """
+    _require(pictures, 2)
+    mean_dn = pictures.mean(axis=0)
+    differences = [first - second for first, second in _pairs(pictures)]
+    noise = np.mean([_without_flicker(each, mean_dn).var() for each in differences])
+    changes = np.array([each.mean(axis=1) for each in differences])
+    height, width = mean_dn.shape
+    variance = float(np.mean(changes**2) - noise / width)
+    if variance <= noise * max(LEAST_FLICKER, 5 / width):
+        return None
+    power = (np.abs(np.fft.rfft(changes, axis=1)) ** 2).sum(axis=0)
+    power[1:] *= 2  # of the negative frequencies too
+    peak = int(np.argmax(power))
+    if power[max(peak - 1, 0) : peak + 2].sum() < power.sum() / 2:
+        return None
+    share = float(np.sqrt(variance / 2) / mean_dn.mean())
+    return Flicker(share, height / peak if peak else None)
+
+
 def grey_levels(pictures: Bytes) -> Levels:
     """Levels of grey of a still scene, and how its pixels scatter.
 
     pictures: (N, H, W) uint8, one channel, N at least 4; of an odd number the last is unused,
     and so are two where N is not a multiple of 4.  A change of the light between two pictures
-    of a pair is taken out where it is the same everywhere in a level.
+    of a pair is taken out where it is the same everywhere in a level; a flicker, of each row.
     Levels that are clipped or rare are passed over; none may be left.
     """
     _require(pictures, 4)
     half = len(pictures) // 4 * 2
     # Sorted into as many levels as the scene has: by means of one half, in steps of LEVEL_DN.
     sorting = pictures[:half].mean(axis=0).ravel()
-    levels = _levels(pictures[half : 2 * half], np.floor(sorting / LEVEL_DN).astype(np.int64))
+    level, flickers = np.floor(sorting / LEVEL_DN).astype(np.int64), flicker(pictures) is not None
+    levels = _levels(pictures[half : 2 * half], level, flickers)
     return levels[(levels.differences >= FEWEST_DIFFERENCES) & (levels.clipped <= MOST_CLIPPED)]
 
 
@@ -237,24 +283,44 @@ def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
     return Linearity(100 * error, float(slope), float(offset))
 
 
-def _levels(pictures: Bytes, level: Ints) -> Levels:
+def _levels(pictures: Bytes, level: Ints, flickers: bool = False) -> Levels:
     """Mean and variance of the pixels of each level that has any.  level: (H · W,) which one."""
-    flat = pictures.reshape(len(pictures), -1)
+    flat, mean_dn = pictures.reshape(len(pictures), -1), pictures.mean(axis=0)
     _, level, pixels = np.unique(level, return_inverse=True, return_counts=True)
     held = np.arange(len(pixels))
-    # The drift of the light spends one degree of freedom of each pair.
-    differences = (len(flat) // 2 * (pixels - 1)).astype(float)
+    # The drift of the light spends one degree of freedom of each pair, a flicker two of each row.
+    free = 1 - 2 / pictures.shape[2] if flickers else 1.0
+    differences = (len(flat) // 2 * (pixels - 1)) * free
     clipped = (flat == 0) | (flat == BRIGHTEST_DN)
     squares = np.zeros(len(held))
-    for first, second in zip(flat[::2].astype(float), flat[1::2].astype(float), strict=True):
-        squares += pixels * ndimage.variance(first - second, level, held)
+    for first, second in _pairs(pictures):
+        difference = first - second
+        if flickers:
+            difference = _without_flicker(difference, mean_dn)
+        squares += pixels * ndimage.variance(difference.ravel(), level, held)
     return Levels(
-        mean_dn=np.asarray(ndimage.mean(flat.mean(axis=0), level, held)),
+        mean_dn=np.asarray(ndimage.mean(mean_dn.ravel(), level, held)),
         # Half the variance of a difference is that of a value.
         variance=squares / np.maximum(2 * differences, 1),
         differences=differences,
         clipped=np.asarray(ndimage.mean(clipped.mean(axis=0), level, held)),
     )
+
+
+def _pairs(pictures: Bytes) -> Iterator[tuple[Floats, Floats]]:
+    return zip(pictures[::2].astype(float), pictures[1::2].astype(float), strict=False)
+
+
+def _without_flicker(difference: Floats, mean_dn: Floats) -> Floats:
+    """The difference of two pictures less, in each row, the straight line in the grey value.
+
+    The light of a row changes by a share: in proportion to the grey value above the dark one.
+    """
+    grey = mean_dn - mean_dn.mean(axis=1, keepdims=True)
+    change = difference - difference.mean(axis=1, keepdims=True)
+    squares = (grey**2).sum(axis=1, keepdims=True)
+    slope = (grey * change).sum(axis=1, keepdims=True) / np.maximum(squares, 1.0)
+    return np.asarray(change - slope * grey)
 
 
 def _require(pictures: Bytes, fewest: int) -> None:
