@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -41,7 +42,7 @@ def devices(
 
     For RIG it also lists what its devices can do, as known to their drivers without opening them.
     For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
-    track's way clear by 2 mm.
+    track's way clear by 2 mm.  The laser is switched on and off if the plan switches it.
     """
     from lscan.config.rigfile import load_rig
     from lscan.errors import InputError
@@ -106,6 +107,7 @@ def _try(
 ) -> tuple[CameraTrial, TrackTrial]:
     """Open the rig's devices and try them out; the cap first, where the dark is wanted."""
     from lscan.acquisition.scan import open_devices
+    from lscan.devices.api import LaserSwitch
     from lscan.devices.trials.camera import try_camera
     from lscan.devices.trials.track import try_track
 
@@ -115,8 +117,10 @@ def _try(
         # The track first: what is wrong with it is known before the many pictures are taken.
         with progress_bar("moves") as report:
             moved = try_track(track, approaches, progress=report)
+        may_light = rig_file.rig.plan.laser != "untouched"
+        laser = track if may_light and isinstance(track, LaserSwitch) else None
         with progress_bar("pictures") as report:
-            return try_camera(camera, pictures, channel, dark_pictures, report), moved
+            return try_camera(camera, pictures, channel, dark_pictures, report, laser), moved
 
 
 def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
@@ -181,6 +185,12 @@ def _print_camera(camera: CameraTrial) -> None:
         f"timing: {timing.rate_hz:.2f} pictures/s, jitter {timing.jitter_ms:.2f} ms, "
         f"latency {timing.latency_ms:.1f} ms"
     )
+    if camera.delay is not None:
+        print(
+            f"delay: the laser's switching is shown after {camera.delay.longest_ms:.0f} ms at most "
+            f"(median {camera.delay.median_ms:.0f} of {camera.delay.switches}); no older picture is "
+            f"taken with camera.options.flush_ms = {math.ceil(camera.delay.longest_ms)}"
+        )
     if camera.dark_dn is not None:
         print(f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN")
     if camera.linearity is not None:

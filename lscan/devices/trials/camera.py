@@ -11,8 +11,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from lscan.config.rig import Channel
-from lscan.devices.api import Camera
+from lscan.devices.api import Camera, LaserSwitch, Previewing
 from lscan.devices.opencv_camera.settings import Setting
+from lscan.devices.trials.delay import Delay, picture_delay
 from lscan.devices.trials.photontransfer import (
     LINEAR_DN,
     Levels,
@@ -92,6 +93,8 @@ class CameraTrial:
     ----------
     settings : tuple, what was asked of it and what it then reported; () where it has none to set
     timing : Timing, of its pictures
+    delay : Delay or None, how late they come; None where no laser was switched for it, or where
+        ``remarks`` say why
     transfer : None where it could not be measured; ``remarks`` then say why
     linearity : Linearity or None, as ``transfer``
     dark_dn, dark_noise_dn : float or None, DN, mean and temporal standard deviation of a pixel with
@@ -103,6 +106,7 @@ class CameraTrial:
 
     settings: tuple[Setting, ...]
     timing: Timing
+    delay: Delay | None
     transfer: PhotonTransfer | None
     linearity: Linearity | None
     dark_dn: float | None
@@ -172,6 +176,7 @@ def try_camera(
     channel: Channel,
     dark: Bytes | None = None,
     progress: Progress | None = None,
+    laser: LaserSwitch | None = None,
 ) -> CameraTrial:
     """Timing, noise and linearity of a camera that looks at a still, evenly lit scene.
 
@@ -189,6 +194,9 @@ def try_camera(
         (N, H, W) uint8, pictures of the same colour taken with the cap on.
     progress : callable, optional
         Called with the number of pictures done, and of all, at the first exposure time.
+    laser : LaserSwitch, optional
+        Switched to see how late the pictures come, if the camera can show what it sees; off from
+        then on.
 
     Returns
     -------
@@ -208,6 +216,12 @@ def try_camera(
     """
     remarks: list[str] = []
     settings = camera.settings if isinstance(camera, SettingsReadBack) else ()
+    delay = None
+    if laser is not None and isinstance(camera, Previewing):
+        try:
+            delay = picture_delay(camera, laser)
+        except MeasurementError as error:
+            remarks.append(str(error))
     series, timing = grab_series(camera, pictures, channel, progress)
     levels = grey_levels(series)
     if seen := flicker(series):
@@ -236,6 +250,7 @@ def try_camera(
     return CameraTrial(
         settings=settings,
         timing=timing,
+        delay=delay,
         transfer=transfer,
         linearity=straight,
         dark_dn=None if dark_levels is None else float(dark_levels.mean_dn[0]),

@@ -1,0 +1,117 @@
+"""How late a camera's pictures come: from a change in view to the picture that shows it.
+
+What a camera, its encoder, the network and the decoder hold back cannot be seen in the pictures,
+nor in their time stamps, which begin at an arbitrary moment.  A change whose time is known shows
+it: the laser is switched, and the first picture of it awaited.
+"""
+
+import statistics
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from lscan.devices.api import LaserSwitch, Previewing
+from lscan.errors import MeasurementError
+from lscan.records import Floats, Progress
+
+SWITCHES = 10
+SETTLED_S = 4.0
+"""After it every picture shows the laser as it stands; encoders hold back 3 s at most."""
+
+REFERENCES = 4
+SPREAD_S = 0.1
+"""Over which the switchings are spread, so that they meet exposures at every phase."""
+
+LONGEST_S = 10.0
+LEAST_DN = 20.0
+"""By which the laser must change the brightest pixel, of the sum of its colours."""
+
+SHOWN = 0.9
+"""Part of the change at which a picture shows it: one half exposed before it does not."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """From the laser's switching to the picture that shows it; no picture is older than the longest.
+
+    longest_ms, median_ms: of so many switches.
+    """
+
+    longest_ms: float
+    median_ms: float
+    switches: int
+
+
+def picture_delay(
+    camera: Previewing, laser: LaserSwitch, progress: Progress | None = None
+) -> Delay:
+    """How late the pictures come; the laser is off at the end.
+
+    The time that the switch itself takes is in it, so that it is too long rather than too short.
+
+    Parameters
+    ----------
+    camera : Previewing
+        Which sees the laser's line, at rest.
+    laser : LaserSwitch
+        Of the track.
+    progress : callable, optional
+        Called with the number of switches done, and of all.
+
+    Raises
+    ------
+    MeasurementError
+        Where the pictures do not show the laser switched.
+    DeviceError
+        Where a device fails.
+    """
+    try:
+        off, on = (_settled(camera, laser, lit) for lit in (False, True))
+        change = on - off
+        if np.abs(change).max() < LEAST_DN:
+            raise MeasurementError(
+                "delay: no picture shows the laser switched; let the camera see its line"
+            )
+        weight = change / (change**2).sum()
+        delays_ms = []
+        for number in range(SWITCHES):
+            time.sleep(SPREAD_S * number / SWITCHES)
+            lit = number % 2 == 1  # it stands lit at first
+            delays_ms.append(1000 * _delay_s(camera, laser, lit, off, weight))
+            if progress is not None:
+                progress(number + 1, SWITCHES)
+    finally:
+        laser.laser_off()
+    return Delay(max(delays_ms), statistics.median(delays_ms), SWITCHES)
+
+
+def _delay_s(
+    camera: Previewing, laser: LaserSwitch, lit: bool, off: Floats, weight: Floats
+) -> float:
+    began_s = time.monotonic()
+    _switch(laser, lit)
+    while time.monotonic() < began_s + LONGEST_S:
+        part = float(((_grey(camera) - off) * weight).sum())
+        if part >= SHOWN if lit else part <= 1 - SHOWN:
+            return time.monotonic() - began_s
+    raise MeasurementError(f"delay: the laser's switching is not shown within {LONGEST_S:g} s")
+
+
+def _settled(camera: Previewing, laser: LaserSwitch, lit: bool) -> Floats:
+    """The mean of some pictures that show the laser so, (H, W)."""
+    _switch(laser, lit)
+    settled_s = time.monotonic() + SETTLED_S
+    while time.monotonic() < settled_s:
+        camera.preview()
+    return np.asarray(np.mean([_grey(camera) for _ in range(REFERENCES)], axis=0))
+
+
+def _switch(laser: LaserSwitch, lit: bool) -> None:
+    laser.laser_on() if lit else laser.laser_off()
+
+
+def _grey(camera: Previewing) -> Floats:
+    """The sum of the colours of the next picture, (H, W)."""
+    image = camera.preview().image.astype(float)
+    return image if image.ndim == 2 else np.asarray(image.sum(axis=2))
