@@ -188,8 +188,8 @@ def _print_camera(camera: CameraTrial) -> None:
     if camera.delay is not None:
         print(
             f"delay: the laser's switching is shown after {camera.delay.longest_ms:.0f} ms at most "
-            f"(median {camera.delay.median_ms:.0f} of {camera.delay.switches}); no older picture is "
-            f"taken with camera.options.flush_ms = {math.ceil(camera.delay.longest_ms)}"
+            f"(median {camera.delay.median_ms:.0f} of {camera.delay.switches}); no older picture "
+            f"is taken with camera.options.flush_ms = {math.ceil(camera.delay.longest_ms)}"
         )
     if camera.dark_dn is not None:
         print(f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN")

@@ -58,7 +58,9 @@ class _Layout:
     def last_units(self) -> list[int]:
         """Number of the last unit of each run."""
         count = self.units[0] * self.units[1]
-        return [min(end, count) - 1 for end in range(self.restart, count + self.restart, self.restart)]
+        return [
+            min(end, count) - 1 for end in range(self.restart, count + self.restart, self.restart)
+        ]
 
 
 def jpeg_file(packet: Bytes) -> bytes | None:

@@ -109,4 +109,3 @@ class JpegStream:
             f"{self._name}: sends more than {1 / LEAST_WAIT_S:g} pictures a second, which no "
             "camera does; a video goes into camera.options.file"
         )
-

@@ -61,10 +61,11 @@ def _open_stream(url: str, options: OpencvOptions) -> Capture:
     if not options.waits_for_change:
         capture.release()
         raise DeviceError(
-            f"{options.name}: coded as {code}, whose pictures come late by what the camera's encoder "
-            "and B-frames hold back, which cannot be seen from here: state camera.options.flush_ms, "
-            "not below the time from a change in view to its picture (mostly 200 to 3000; `lscan "
-            "devices RIG --test` measures it), or choose MJPEG where the camera has it"
+            f"{options.name}: coded as {code}, whose pictures come late by what the camera's "
+            "encoder and B-frames hold back, which cannot be seen from here: state "
+            "camera.options.flush_ms, not below the time from a change in view to its picture "
+            "(mostly 200 to 3000; `lscan devices RIG --test` measures it), or choose MJPEG where "
+            "the camera has it"
         )
     _log.warning(
         "%s: coded as %s: a change of the picture size while it runs, or a picture sent again and "

@@ -97,6 +97,7 @@ def apply_settings(capture: Capture, section: CameraSection, options: OpencvOpti
     }
     to_user = {"pixel_format": fourcc_text, "exposure_ms": exposure.to_ms}
     stated = _stated(section, options, exposure)
+
     def set_and_read(names: Iterable[str]) -> dict[str, Setting]:
         for name in names:
             key, asked = stated[name]

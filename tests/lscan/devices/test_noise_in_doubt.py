@@ -92,9 +92,7 @@ def test_a_lit_scene_of_a_linear_camera_leaves_no_doubt(
     ("bands", "words"), [(3.0, "bands of 32 rows"), (2.4, "bands of 48 rows"), (0.0, "all rows")]
 )
 @pytest.mark.parametrize("dimmest", [1.0, 0.3])
-def test_a_lamps_flicker_is_said_and_is_no_noise(
-    bands: float, words: str, dimmest: float
-) -> None:
+def test_a_lamps_flicker_is_said_and_is_no_noise(bands: float, words: str, dimmest: float) -> None:
     """By 5 %, rms 3.5 %: 7 DN of 200, where noise is 2.2; gain and noise are the sensor's."""
     scene = lit_scene() * np.linspace(dimmest, 1, SHAPE[0])[:, None]
     trial = try_camera(Webcam(scene, flicker=0.05, bands=bands), 16, "red")
@@ -102,7 +100,7 @@ def test_a_lamps_flicker_is_said_and_is_no_noise(
     assert abs(trial.transfer.dn_per_electron - GAIN) < 5 * trial.transfer.gain_sigma
     (said,) = [remark for remark in trial.remarks if remark.startswith("light:")]
     assert words in said
-    # Of the grey values, which hold the black level too; of 8 phases, the share is known to a third.
+    # Of grey values, which hold the black level too; by 8 phases it is known to a third.
     share = 3.5 * (1 - BLACK_DN / (BLACK_DN + scene.mean()))
     assert float(said.partition("by ")[2].partition(" %")[0]) == pytest.approx(share, rel=0.5)
 

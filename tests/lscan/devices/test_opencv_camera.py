@@ -245,6 +245,7 @@ def test_a_camera_that_ignores_a_setting_is_reported(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lscan.devices.opencv_camera.settings.AGAIN_WAIT_S", 0.0)
+
     def keeps_exposure(property_id: int, value: float) -> float:
         return 156.0 if property_id == cv2.CAP_PROP_EXPOSURE else value
 

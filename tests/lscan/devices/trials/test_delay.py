@@ -69,7 +69,8 @@ def test_no_picture_is_older_than_the_delay_says(
     monkeypatch: pytest.MonkeyPatch, late_s: float, period_s: float
 ) -> None:
     """A picture that arrives so long after a call was exposed after it, from its beginning on:
-    at least the delay and nine tenths of the exposure.  At most a period and the switch are more."""
+    at least the delay and nine tenths of the exposure.  A period and the switch are the most more.
+    """
     exposure_s = period_s / 2
     here = bench(monkeypatch, late_s, period_s, exposure_s)
     found = picture_delay(here, here)
