@@ -16,8 +16,9 @@ from lscan.errors import MeasurementError
 from lscan.records import Floats, Progress
 
 SWITCHES = 10
-SETTLED_S = 4.0
-"""After it every picture shows the laser as it stands; encoders hold back 3 s at most."""
+SETTLED_S = 6.0
+"""After it every picture shows the laser as it stands; an encoder that looks 40 pictures ahead at
+12 a second holds back 3.3 s."""
 
 REFERENCES = 4
 SPREAD_S = 0.1

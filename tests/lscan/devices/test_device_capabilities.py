@@ -159,7 +159,10 @@ def deaf_to_gain(property_id: int, value: float) -> float:
     return 1.0 if property_id == cv2.CAP_PROP_GAIN else value
 
 
-def test_settings_are_listed_and_the_ignored_marked(capsys: pytest.CaptureFixture[str]) -> None:
+def test_settings_are_listed_and_the_ignored_marked(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lscan.devices.opencv_camera.settings.AGAIN_WAIT_S", 0.0)
     section = CameraSection(driver="opencv", width_px=WIDTH_PX, height_px=HEIGHT_PX)
     options = OpencvOptions(device=0, gain=30, focus=12, warm_up_frames=0)
     camera = OpencvCamera(section, options, World(obeys=deaf_to_gain).open)
