@@ -64,7 +64,7 @@ def bench(
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.13, 2.4])
-@pytest.mark.parametrize("period_s", [0.011, 0.04, 0.1])
+@pytest.mark.parametrize("period_s", [0.033, 0.1])
 def test_no_picture_is_older_than_the_delay_says(
     monkeypatch: pytest.MonkeyPatch, late_s: float, period_s: float
 ) -> None:
