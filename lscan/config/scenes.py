@@ -57,7 +57,7 @@ def scene_about(name: str) -> str:
     lines = (scenes_folder() / f"{name}.toml").read_text(encoding="utf-8").splitlines()
     comment = takewhile(lambda line: line.startswith("#"), lines)
     words = " ".join(line.lstrip("# ") for line in comment)
-    return re.split(r"(?<=[.?!])\s", words, maxsplit=1)[0]
+    return re.split(r"(?<!Sec\.)(?<!Fig\.)(?<!Figs\.)(?<=[.?!])\s", words, maxsplit=1)[0]
 
 
 def spec_names(kind: SpecKind) -> list[str]:

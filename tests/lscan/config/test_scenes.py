@@ -123,7 +123,9 @@ def test_copies_are_whole_and_never_overwrite(tmp_path: Path) -> None:
 def test_the_command_lists_names_and_copies(tmp_path: Path) -> None:
     listed = CliRunner().invoke(app, ["scenes"]).output.splitlines()
     assert [line.split()[0] for line in listed] == scene_names()
-    assert "paper: sandwave" in next(line for line in listed if line.startswith("paper/sandwave"))
+    about = next(line for line in listed if line.startswith("paper/sandwave"))
+    assert "The sandwave (Sec. IV.C, Figs. 22 to 32): 400 pictures" in about
+    assert about.endswith(", as a block in a tank does.")
     copied = CliRunner().invoke(app, ["scenes", "--copy", str(tmp_path / "mine"), "--json"])
     answer = json.loads(copied.output)
     assert answer == {"scenes": scene_names(), "copied_to": str(tmp_path / "mine")}
