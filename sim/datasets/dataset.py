@@ -124,7 +124,10 @@ def _made(
 
     with open_client(workers, scheduler) as client:
         waiting = iter(tasks)
-        found = in_order(client, make_shard, tasks, _killed)
+        first = tasks[0]
+        found = in_order(
+            client, make_shard, tasks, _killed, files=first.spec.files, folder=first.folder
+        )
         for task, record in zip(waiting, found, strict=True):
             keys = [f"{n:09d}" for n in range(task.first, task.first + task.count)]
             if record.file:

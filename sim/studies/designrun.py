@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lscan.config.documents import named_files
 from lscan.config.scenes import included_file
 from lscan.errors import LscanError
 from lscan.files.disk import make_folder
@@ -184,8 +185,11 @@ def _run(running: StudyRunning) -> Run:
         return map
     from sim.studies.cluster import in_order
 
+    study = running.study
+    files = named_files(study.calibrate.document) | named_files(study.scan.document)
+
     def run(judge: Judge, of: Sequence[Parameters]) -> Iterable[Judged]:
-        return in_order(client, judge, of, lambda status: (None, status))
+        return in_order(client, judge, of, lambda status: (None, status), files=files)
 
     return run
 

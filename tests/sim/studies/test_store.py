@@ -1,5 +1,6 @@
 """The results of a study in a folder: found by their rows, whole after a kill, of one study."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -139,6 +140,23 @@ def test_a_second_process_is_refused(tmp_path: Path) -> None:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         )
     assert done.stdout == f"{tmp_path}: is being written by another study\n", done.stderr
+
+
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_told_from_another_writer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """Lustre without its flock option says ENOSYS, NFS without its lock service ENOLCK."""
+
+    def no_lock(descriptor: int, how: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("fcntl.flock", no_lock)
+    with pytest.raises(InputError) as refused:
+        open_store(tmp_path, STUDY)
+    told = f"{tmp_path}: cannot be locked against another study: {os.strerror(number)}"
+    assert str(refused.value).startswith(told)
+    assert "a file system with flock" in str(refused.value)
 
 
 def test_a_disk_that_is_full_leaves_what_was_kept(
