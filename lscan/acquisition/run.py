@@ -17,7 +17,7 @@ import json
 import os
 import platform
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Literal
@@ -51,6 +51,8 @@ class Manifest(Strict):
 
     track_zero: name of the zero that the frames' positions count from, as
     ``lscan.devices.api.PlaceChecking`` gives it; left out where the track finds it anew.
+    files: SHA-256 of each file that the rig names, such as a mesh, by its path; left out where it
+    names none.
     """
 
     format: Literal["lscan-run"] = "lscan-run"
@@ -60,6 +62,7 @@ class Manifest(Strict):
     plan: Plan
     rig: Document
     track_zero: str | None = Field(default=None, exclude_if=lambda zero: zero is None)
+    files: dict[str, str] = Field(default_factory=dict, exclude_if=lambda files: not files)
 
     def as_text(self) -> str:
         """The file's text: JSON with, as its last key, the SHA-256 of its meaning."""
@@ -139,6 +142,7 @@ class Run:
     software : tuple, versions of what wrote the folder; more than one entry where a scan was
         resumed under other versions
     rows : tuple, one per frame, in order
+    files : mapping, SHA-256 of each file that the rig names, by its path
 
     Examples
     --------
@@ -153,6 +157,7 @@ class Run:
     state: State
     software: tuple[Versions, ...]
     rows: tuple[FrameRow, ...]
+    files: Mapping[str, str]
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -269,7 +274,8 @@ def open_run(path: Path | str, trusted: bool = False) -> Run:
             file = frame_file(path, row.index, dark)
             if file.name not in present:
                 raise InputError(f"missing, but {TABLE} line {row.index + 2} lists it", where=file)
-    return Run(path, rig_file, manifest.state, tuple(manifest.software), tuple(rows))
+    software, files = tuple(manifest.software), manifest.files
+    return Run(path, rig_file, manifest.state, software, tuple(rows), files)
 
 
 def frame_file(path: Path, index: int, dark: bool = False) -> Path:

@@ -12,6 +12,7 @@ from lscan.config.documents import Document
 from lscan.config.plugins import find_plugin, installed
 from lscan.config.rigfile import RigFile
 from lscan.errors import InputError
+from lscan.files.disk import content_sha256
 
 _GROUPS = {"camera": "lscan.cameras", "track": "lscan.tracks"}
 
@@ -39,6 +40,30 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
             f"{_in_words(key, is_now)}; restore it in {now.source}, or begin a new scan",
             where=where,
         )
+
+
+def require_same_files(files: Mapping[str, str], where: Path) -> None:
+    """Refuse files that hold something else than they did.
+
+    Parameters
+    ----------
+    files : mapping, SHA-256 of what each held, by its path
+    where : Path, what was made with them, for the error
+
+    Raises
+    ------
+    InputError
+        Names the first file that is another one, or is gone.
+    """
+    for file, kept in files.items():
+        now = content_sha256(Path(file))
+        if now != kept:
+            raise InputError(
+                f"{'was changed' if now else 'is gone'} since {where} was made with it",
+                where=file,
+                value=now or None,
+                allowed=f"SHA-256 {kept}: bring that file back, or begin anew",
+            )
 
 
 def first_difference(one: Any, other: Any) -> str | None:

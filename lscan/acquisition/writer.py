@@ -30,7 +30,8 @@ from lscan.acquisition.run import (
     read_manifest,
     software_versions,
 )
-from lscan.acquisition.samerig import require_same_rig
+from lscan.acquisition.samerig import require_same_files, require_same_rig
+from lscan.config.documents import named_files
 from lscan.config.rigfile import RigFile
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import (
@@ -225,7 +226,7 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
     ------
     InputError
         The folder is something else than a run, was begun with another rig (the first differing key
-        path is named), is being written by another scan, or is damaged in a way that being killed
+        path is named) or with a mesh, say, that was changed since, is being written by another scan, or is damaged in a way that being killed
         does not explain.
     """
     if not os.path.exists(path):  # noqa: PTH110 - takes any text
@@ -264,7 +265,10 @@ def _new_manifest(rig_file: RigFile) -> Manifest:
             allowed="text, finite numbers, true, false, lists and tables",
         ) from error
     software, plan = [software_versions()], rig_file.rig.plan
-    return Manifest(state="scanning", software=software, plan=plan, rig=rig_file.document)
+    files = named_files(rig_file.document)
+    return Manifest(
+        state="scanning", software=software, plan=plan, rig=rig_file.document, files=files
+    )
 
 
 def _change_manifest(path: Path, **values: Any) -> None:
@@ -312,6 +316,7 @@ def _recover(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
     """Clear away what a killed scan left, check the rest, return the rows of the frames."""
     manifest, kept = read_manifest(path)
     require_same_rig(kept, rig_file, where=path / MANIFEST)
+    require_same_files(manifest.files, path)
     if manifest.state == "scanning":
         _remove_temporaries(path)
         cut_torn_line(path / TABLE, most_table_bytes(manifest.plan))

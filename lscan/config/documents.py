@@ -7,6 +7,7 @@ including file wins, so scenes share one rig instead of repeating it.
 what was included.  Paths inside a document are relative to the file they stand in.
 """
 
+import hashlib
 import json
 import os
 import re
@@ -233,7 +234,7 @@ def named_files(document: Document) -> dict[str, str]:
     InputError
         A file cannot be read.
     """
-    return {file: content_sha256(Path(file)) for file in _files_in(document)}
+    return {file: _sha256(Path(file)) for file in _files_in(document)}
 
 
 def by_content(document: Any, key: str = "") -> Any:
@@ -254,8 +255,16 @@ def by_content(document: Any, key: str = "") -> Any:
     if isinstance(document, list):
         return [by_content(value) for value in document]
     if isinstance(document, str) and _names_file(key):
-        return content_sha256(Path(document)) or document
+        return _sha256(Path(document)) or document
     return document
+
+
+def _sha256(file: Path) -> str:
+    """That of what a file holds; of a document that includes others, of all of them together."""
+    if file.suffix == ".toml" and os.path.isfile(file) and "include" in _parse(file):  # noqa: PTH113
+        text = json.dumps(by_content(read_document(file)), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+    return content_sha256(file)
 
 
 def _files_in(value: Any, key: str = "") -> Iterator[str]:

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
+from lscan.acquisition.samerig import first_difference
 from lscan.errors import InputError
 from lscan.files.datasets import MANIFEST, VERSION
 from lscan.files.disk import list_names, lock_folder, make_folder, write_atomically
@@ -159,7 +160,9 @@ def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -
 def _identity(spec: DatasetSpec, count: int, form: Format) -> dict[str, Any]:
     content = {"lscan": __version__, "count": count, "format": form, **spec.document}
     text = json.dumps(content, sort_keys=True)
-    return {"sha256": hashlib.sha256(text.encode()).hexdigest(), **content}
+    # By name for who asks which it was; what they hold is in the scenes' own hashes.
+    files = {Path(file).name: sha256 for file, sha256 in spec.files.items()}
+    return {"files_sha256": files, **content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None:
@@ -173,12 +176,14 @@ def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None
     if not resume:
         raise InputError("holds a data set", where=folder, allowed="--resume, or a new folder")
     try:
-        same = json.loads(file.read_text(encoding="utf-8"))["sha256"] == identity["sha256"]
+        kept = json.loads(file.read_text(encoding="utf-8"))
+        same, differing = kept["sha256"] == identity["sha256"], first_difference(kept, identity)
     except (OSError, ValueError, KeyError, TypeError):
-        same = False
+        same, differing = False, IDENTITY
     if not same:
         allowed = "the same spec, scenes, count, format and version of lscan; or a new folder"
-        raise InputError("holds another data set", where=folder, allowed=allowed)
+        what = f"holds another data set, which differs in {differing}"
+        raise InputError(what, where=folder, allowed=allowed)
 
 
 def _manifest(identity: dict[str, Any], records: Sequence[ShardRecord]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.config.documents import named_files
+from lscan.config.documents import Document, by_content, named_files
 from lscan.config.scenes import included_file
 from lscan.errors import LscanError
 from lscan.files.disk import make_folder
@@ -194,5 +194,5 @@ def _run(running: StudyRunning) -> Run:
     return run
 
 
-def _name(documents: object) -> str:
-    return hashlib.sha256(json_text(documents).encode()).hexdigest()[:16]
+def _name(documents: Iterable[Document]) -> str:
+    return hashlib.sha256(json_text(by_content(list(documents))).encode()).hexdigest()[:16]

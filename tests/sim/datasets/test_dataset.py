@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from places import ROOT
 from truth_scenes import BASE, tank
 from typer.testing import CliRunner
@@ -222,6 +223,27 @@ def test_another_data_set_is_not_overwritten(tmp_path: Path, alone: Path) -> Non
     for resume, why in ((False, "holds a data set"), (True, "holds another data set")):
         with pytest.raises(InputError, match=why):
             make_dataset(other, alone, COUNT, workers="none", resume=resume)
+
+
+def test_another_mesh_of_the_same_name_is_another_data_set(tmp_path: Path) -> None:
+    """Wherever the mesh lies: what it holds counts."""
+    file = spec_file(tmp_path)
+    scene = merge(BASE, {**SMALL, "target": {"shape": "mesh", "file": "mesh.stl"}})
+    write_toml(tmp_path / "scene.toml", scene)
+    box = trimesh.creation.box((60.0, 60.0, 20.0))
+    box.export(tmp_path / "mesh.stl")
+    make_dataset(load_dataset_spec(file), tmp_path / "set", 1, workers="none")
+    kept = json.loads((tmp_path / "set" / "identity.json").read_text(encoding="utf-8"))
+    assert list(kept["files_sha256"]) == ["mesh.stl"]
+    (tmp_path / "moved").mkdir()
+    for name in ("spec.toml", "scene.toml", "mesh.stl"):
+        (tmp_path / "moved" / name).write_bytes((tmp_path / name).read_bytes())
+    moved = load_dataset_spec(tmp_path / "moved" / "spec.toml")
+    make_dataset(moved, tmp_path / "set", 1, workers="none", resume=True)
+    trimesh.creation.box((60.0, 60.0, 40.0)).export(tmp_path / "mesh.stl")
+    changed = load_dataset_spec(file)
+    with pytest.raises(InputError, match=r"another data set, which differs in files_sha256\.mesh"):
+        make_dataset(changed, tmp_path / "set", 1, workers="none", resume=True)
 
 
 def test_a_bit_that_flipped_is_noticed(tmp_path: Path, alone: Path) -> None:

@@ -10,7 +10,8 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import psutil
@@ -23,6 +24,7 @@ from lscan.records import Floats
 from sim.studies.batches import TARGET_S, Batches
 from sim.studies.cluster import KILLED, in_order, open_client
 from sim.studies.runner import cost_estimate, run_rows
+from sim.studies.running import prepared_of
 from sim.studies.store import OK, Results, ResultStore, distinct, open_store
 from sim.studies.worker import identity_of, package_versions
 from sim.validation.study.running import (
@@ -151,6 +153,47 @@ def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers:
     alone = in_one_process(StubSource(), np.delete(rows, 5, axis=0), tmp_path)
     assert np.delete(found.values, 5, axis=0).tobytes() == alone.values.tobytes()
     assert np.isnan(found.values[5]).all()
+
+
+def test_a_study_knows_its_files_by_what_they_hold(tmp_path: Path) -> None:
+    """Rows of another mesh of the same name are another study's, whatever else is the same."""
+
+    class MeshSource:
+        document: Mapping[str, object] = MappingProxyType(
+            {"scan": {"target": {"file": str(tmp_path / "mesh.stl")}}}
+        )
+        make = StubSource().make
+
+    (tmp_path / "mesh.stl").write_bytes(b"one")
+    with open_store(tmp_path / "store", identity_of(MeshSource())):
+        pass
+    (tmp_path / "mesh.stl").write_bytes(b"another")
+    with pytest.raises(InputError, match=r"differs in its document\.scan\.target\.file"):
+        open_store(tmp_path / "store", identity_of(MeshSource()))
+
+
+def test_what_was_prepared_is_kept_for_the_same_files_and_version_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[bytes] = []
+
+    def prepared(study: object) -> SimpleNamespace:
+        made.append(f"{len(made)}".encode())
+        return SimpleNamespace(packed=lambda: made[-1])
+
+    monkeypatch.setattr("sim.studies.running.prepare", prepared)
+    scene = SimpleNamespace(document={"target": {"file": str(tmp_path / "mesh.stl")}})
+    study: Any = SimpleNamespace(calibrate=scene, scan=scene, file=SimpleNamespace(places=()))
+
+    def found() -> bytes:
+        return prepared_of(study, tmp_path / "prepared.npz", lambda _: None)
+
+    (tmp_path / "mesh.stl").write_bytes(b"one")
+    assert [found(), found()] == [b"0", b"0"]
+    (tmp_path / "mesh.stl").write_bytes(b"another")
+    assert [found(), found()] == [b"1", b"1"]
+    monkeypatch.setattr("sim.studies.running.__version__", "99.0")
+    assert found() == b"2"
 
 
 def test_a_design_that_is_larger_than_agreed_is_refused(source: StubSource, tmp_path: Path) -> None:

@@ -13,7 +13,16 @@ import pytest
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.studies.problem import Output
-from sim.studies.store import MANIFEST, OK, RECORDS, Batch, Results, StudyIdentity, open_store
+from sim.studies.store import (
+    MANIFEST,
+    OK,
+    RECORDS,
+    Batch,
+    Results,
+    StudyIdentity,
+    open_store,
+    require_same_document,
+)
 
 STUDY = StudyIdentity({"scene": "a.toml", "cause": {"x": 1}}, ("a", "b"), (Output("z", "mm", 3),))
 NAN = np.nan
@@ -110,6 +119,14 @@ def test_another_study_is_refused_and_both_are_named(
     assert STUDY.sha256 in str(caught.value)
     assert other.sha256 in str(caught.value)
     open_store(tmp_path, STUDY).close()  # whose lock was let go
+
+
+def test_a_study_of_another_document_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    require_same_document(tmp_path, {"scene": "b.toml"})  # nothing is there yet
+    open_store(tmp_path, STUDY).close()
+    require_same_document(tmp_path, {"scene": "a.toml"})
+    with pytest.raises(InputError, match=r"another study, which differs in its document\.scene"):
+        require_same_document(tmp_path, {"scene": "b.toml"})
 
 
 def test_the_order_of_the_documents_keys_makes_no_other_study(tmp_path: Path) -> None:
