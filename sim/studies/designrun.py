@@ -25,7 +25,7 @@ from sim.studies.designsearch import (
     front_of,
     search,
 )
-from sim.studies.designsection import DesignSection, ordinal
+from sim.studies.designsection import DesignSection
 from sim.studies.intervals import Bounded, interval, pseudo_values
 from sim.studies.prepared import Prepared
 from sim.studies.records import DesignTrial
@@ -135,16 +135,15 @@ def told(
     reason : str, why it could not be rendered
     """
     figures, design = trial.figures, problem.design(trial.parameters)
-    objectives: dict[str, float | None] = {
+    objectives: dict[str, float | str | None] = {
         "predicted error / mm": figures.error_mm if figures else None,
         "measured width / mm": figures.width_mm if figures else None,
         "depth range / mm": figures.depth_mm if figures else None,
         "cost / €": design.cost_eur,
-        "laser class": ordinal(figures.laser_class) if figures else None,
+        "laser class": figures.laser_class if figures else None,
     }
-    parts = {**trial.parameters, **({"class": figures.laser_class} if figures else {})}
     status = trial.reason or reason or OK
-    return DesignTrial(objectives, parts, on_front, status, predicted_mm, rendered_mm)
+    return DesignTrial(objectives, trial.parameters, on_front, status, predicted_mm, rendered_mm)
 
 
 def _rendered(
