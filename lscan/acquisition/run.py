@@ -33,6 +33,7 @@ from lscan.config.rigfile import RigFile, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import list_names, read_bytes, require_within
 from lscan.files.headers import read_header
+from lscan.files.longwork import long_work
 from lscan.files.pictures import decode
 from lscan.records import Bytes, Floats, Frame
 from lscan.version import __version__
@@ -198,10 +199,12 @@ class Run:
 
     def verify(self) -> None:
         """Read every picture's file and compare its checksum; InputError as ``frame``."""
-        for row in self.rows:
-            self._checked_bytes(row)
-            if row.dark_sha256 is not None:
-                self._checked_bytes(row, dark=True)
+        with long_work("recorded pictures checked") as progress:
+            for done, row in enumerate(self.rows, start=1):
+                self._checked_bytes(row)
+                if row.dark_sha256 is not None:
+                    self._checked_bytes(row, dark=True)
+                progress(done, len(self))
 
     def _checked_bytes(self, row: FrameRow, dark: bool = False) -> bytes:
         file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera

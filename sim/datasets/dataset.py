@@ -16,6 +16,7 @@ from lscan.errors import InputError
 from lscan.files.datasets import MANIFEST, VERSION
 from lscan.files.disk import list_names, lock_folder, make_folder, write_atomically
 from lscan.files.jsontext import write_json
+from lscan.files.longwork import long_work
 from lscan.records import Progress
 from lscan.version import __version__
 from sim.datasets.datasetshards import (
@@ -85,7 +86,7 @@ def make_dataset(
         identity = _identity(spec, count, form)
         _keep_identity(folder, identity, resume)
         tasks = _tasks(spec, folder, count, form)
-        records = {task.number: record for task in tasks if (record := kept_record(task))}
+        records = _kept(tasks)
         missing = [task for task in tasks if task.number not in records]
         done = sum(task.count for task in tasks if task.number in records)
         if missing and say is not None:
@@ -102,6 +103,17 @@ def make_dataset(
         return manifest
     finally:
         os.close(lock)
+
+
+def _kept(tasks: Sequence[ShardTask]) -> dict[int, ShardRecord]:
+    """The records of the shards that are there, by number, each shard held against its hash."""
+    records: dict[int, ShardRecord] = {}
+    with long_work("shards checked") as progress:
+        for done, task in enumerate(tasks, start=1):
+            if record := kept_record(task):
+                records[task.number] = record
+            progress(done, len(tasks))
+    return records
 
 
 def _tasks(spec: DatasetSpec, folder: Path, count: int, form: Format) -> list[ShardTask]:
