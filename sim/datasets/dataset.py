@@ -25,6 +25,7 @@ from sim.datasets.datasetshards import (
     ShardTask,
     kept_record,
     make_shard,
+    packed_shard,
     rendered,
 )
 from sim.datasets.datasetspec import DatasetSpec
@@ -136,23 +137,13 @@ def _made(
     from sim.studies.cluster import in_order, open_client  # takes a second to import
 
     with open_client(workers, scheduler) as client:
-        waiting = iter(tasks)
         first = tasks[0]
         found = in_order(
-            client, make_shard, tasks, _killed, files=first.spec.files, folder=first.folder
+            client, make_shard, tasks, str, files=first.spec.files, folder=first.folder
         )
-        for task, record in zip(waiting, found, strict=True):
-            keys = [f"{n:09d}" for n in range(task.first, task.first + task.count)]
-            if record.file:
-                yield record
-            else:  # its workers died time and again
-                empty = replace(task, count=0)
-                made = make_shard(empty)
-                yield replace(made, failed=dict.fromkeys(keys, record.failed[""]))
-
-
-def _killed(reason: str) -> ShardRecord:
-    return ShardRecord("", "", (), {"": reason})
+        for task, record in zip(tasks, found, strict=True):
+            # Where its workers died time and again, it has what they had made by then.
+            yield packed_shard(task, record) if isinstance(record, str) else record
 
 
 def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -> str:

@@ -73,6 +73,7 @@ _log = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
+Other = TypeVar("Other")
 
 
 class DeafToCtrlC(WorkerPlugin):
@@ -234,11 +235,11 @@ def in_order(
     client: Client,
     function: Callable[[Item], Found],
     of: Sequence[Item],
-    killed: Callable[[str], Found],
+    killed: Callable[[str], Other],
     *,
     files: Mapping[str, str] | None = None,
     folder: Path | None = None,
-) -> Iterator[Found]:
+) -> Iterator[Found | Other]:
     """What a function gives for each of a few things, in their order, as far as they are done.
 
     Parameters
@@ -261,6 +262,7 @@ def in_order(
         submit = partial(client.submit, call_in_common, _in_common(files or {}, marker), function)
         futures = [submit(one, pure=False) for one in of]
         for future in futures:
+            found: Found | Other
             try:
                 found = future.result()
             except KilledWorker:

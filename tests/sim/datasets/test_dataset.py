@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -21,12 +23,13 @@ from typer.testing import CliRunner
 from lscan.config.documents import merge
 from lscan.config.toml import write_toml
 from lscan.errors import InputError
-from lscan.files.datasets import PictureDataset
+from lscan.files.datasets import MEMBERS, PictureDataset
 from lscan.files.runlengths import run_lengths
 from lscan.records import Status
 from sim.cli.app import app
+from sim.datasets import datasetshards
 from sim.datasets.dataset import make_dataset
-from sim.datasets.datasetshards import Format
+from sim.datasets.datasetshards import Format, ShardTask, packed_shard
 from sim.datasets.datasetspec import load_dataset_spec
 from sim.datasets.labels import Label
 from sim.render.surfaces import surfaces_seen
@@ -176,6 +179,58 @@ def test_a_killed_data_set_goes_on_with_the_same_bytes(tmp_path: Path, alone: Pa
     assert isinstance(refused.exception, InputError)
     assert CliRunner().invoke(app, [*command, "--resume"]).exit_code == 0
     assert content(tmp_path / "set") == content(alone)
+
+
+@pytest.mark.parametrize("form", ["webdataset", "hdf5", "folders"])
+def test_what_ends_a_shard_costs_the_picture_under_way_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: Format
+) -> None:
+    """Of 4 pictures of one tank the second fails, and the third is ended; then it goes on."""
+    spec = load_dataset_spec(spec_file(tmp_path, tank_pictures=4))
+    shown: list[str] = []
+
+    def pictures(ended: int | None) -> None:
+        def picture(tank: object, scene: object, drawn: object) -> dict[str, bytes]:
+            shown.append(str(len(shown)))
+            if len(shown) == 2:
+                raise InputError("no such picture")
+            if len(shown) == ended:
+                raise KeyboardInterrupt
+            return {name: f"{name} {drawn}".encode() for name in MEMBERS}
+
+        shown.clear()
+        monkeypatch.setattr(datasetshards, "picture_files", picture)
+
+    pictures(None)
+    whole = make_dataset(spec, tmp_path / "whole", 4, form=form, workers="none")
+    assert whole["failed"] == {"000000001": "no such picture"}
+    pictures(3)
+    with pytest.raises(KeyboardInterrupt):
+        make_dataset(spec, tmp_path / "set", 4, form=form, workers="none")
+    shutil.copytree(tmp_path / "set", tmp_path / "killed")
+    make_dataset(spec, tmp_path / "set", 4, form=form, workers="none", resume=True)
+    assert len(shown) == 3 + 2
+    assert content(tmp_path / "set") == content(tmp_path / "whole")
+    # Where it killed its workers time and again, what they had made is kept.
+    record = packed_shard(ShardTask(spec, tmp_path / "killed", form, 0, 0, 4), "killed its worker")
+    assert record.keys == ("000000000",)
+    assert list(record.failed.values()) == ["no such picture", *["killed its worker"] * 2]
+
+
+@pytest.mark.parametrize("form", ["webdataset", "hdf5", "folders"])
+def test_memory_holds_a_picture_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: Format
+) -> None:
+    """Of 12 pictures of 4 MB: three copies at most, of one and its archive, and of the next."""
+    size = 1 << 20
+    monkeypatch.setattr(datasetshards, "picture_files", lambda *_: dict.fromkeys(MEMBERS, b"1" * size))
+    spec = load_dataset_spec(spec_file(tmp_path, tank_pictures=12))
+    make_dataset(spec, tmp_path / "first", 1, form=form, workers="none")  # what is made once
+    tracemalloc.start()
+    make_dataset(spec, tmp_path / "set", 12, form=form, workers="none")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3.5 * len(MEMBERS) * size
 
 
 def test_a_scene_that_fails_is_a_row_of_the_manifest(
