@@ -146,7 +146,9 @@ class SimCamera:
         self._scene, self._track = scene, track
         camera_options(scene)
         self._pictures: Ahead[Grab] | None = Ahead(
-            partial(TankCamera, scene, named_files(scene.document)), _planned(scene.rig.plan), sharing
+            partial(TankCamera, scene, named_files(scene.document)),
+            _planned(scene.rig.plan),
+            sharing,
         )
         self._next = 0
 

@@ -226,8 +226,8 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
     ------
     InputError
         The folder is something else than a run, was begun with another rig (the first differing key
-        path is named) or with a mesh, say, that was changed since, is being written by another scan, or is damaged in a way that being killed
-        does not explain.
+        path is named) or with a mesh, say, that was changed since, is being written by another
+        scan, or is damaged in a way that being killed does not explain.
     """
     if not os.path.exists(path):  # noqa: PTH110 - takes any text
         return create_run(path, rig_file)

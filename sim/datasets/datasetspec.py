@@ -108,7 +108,7 @@ class DatasetSpec:
 
     @property
     def document(self) -> Document:
-        """All that the pictures depend on, of JSON types; of files that scenes name, the content."""
+        """All that the pictures depend on, of JSON types; of files of the scenes, the content."""
         models = [(one.rig, one.tank) for one in self.scenes]
         dumped = [[part.model_dump(mode="json") for part in parts] for parts in models]
         texts = [json.dumps(by_content(parts), sort_keys=True) for parts in dumped]

@@ -58,9 +58,7 @@ class InCommon:
     marker: Path | None = None
 
 
-def call_in_common(
-    common: InCommon, function: Callable[..., Found], *arguments: Any
-) -> Found:
+def call_in_common(common: InCommon, function: Callable[..., Found], *arguments: Any) -> Found:
     """What a function gives, called on a worker.
 
     Parameters

@@ -223,7 +223,9 @@ def test_memory_holds_a_picture_at_a_time(
 ) -> None:
     """Of 12 pictures of 4 MB: three copies at most, of one and its archive, and of the next."""
     size = 1 << 20
-    monkeypatch.setattr(datasetshards, "picture_files", lambda *_: dict.fromkeys(MEMBERS, b"1" * size))
+    monkeypatch.setattr(
+        datasetshards, "picture_files", lambda *_: dict.fromkeys(MEMBERS, b"1" * size)
+    )
     spec = load_dataset_spec(spec_file(tmp_path, tank_pictures=12))
     make_dataset(spec, tmp_path / "first", 1, form=form, workers="none")  # what is made once
     tracemalloc.start()

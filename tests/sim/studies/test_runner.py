@@ -323,9 +323,9 @@ def test_the_workers_of_a_study_answer_nobody_else(two_workers: Client) -> None:
     own = two_workers.security.get_connection_args("client")
     for address in (two_workers.scheduler.address, *workers, *nannies):
         asyncio.run(ask(address, **own))
-        with pytest.raises(OSError, match="."):
+        with pytest.raises(OSError):
             asyncio.run(ask(address, **stranger))
-        with pytest.raises(OSError, match="."):
+        with pytest.raises(OSError):
             asyncio.run(ask(address.replace("tls://", "tcp://")))
     port = two_workers.scheduler_info()["services"]["dashboard"]
     for page in ("health", "info/main/workers.html", "metrics"):
