@@ -70,6 +70,10 @@ def first_difference(one: Any, other: Any) -> str | None:
     """Key path, such as ``camera.options.seed``, of the first difference of two documents.
 
     None where there is none.  1 and 1.0 differ: they would not give the same run.json.
+
+    Parameters
+    ----------
+    one, other : Document, or any part of one
     """
     left, right = dict(_leaves(one)), dict(_leaves(other))
     return next((key for key in [*left, *right] if left.get(key) != right.get(key)), None)

@@ -218,10 +218,6 @@ def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
             table[key] = os.path.realpath(source.parent / value)
 
 
-def _names_file(key: str) -> bool:
-    return key == "file" or key.endswith("_file")
-
-
 def named_files(document: Document) -> dict[str, str]:
     """SHA-256 of what each file holds that a document names, by its path; "" where it is missing.
 

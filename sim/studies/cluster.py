@@ -52,7 +52,7 @@ RECOUNT_S = 2.0  # between counts of a cluster's workers, each of which costs a 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 # Dr.Jit's threads wait for work at full speed: as many workers as cores need them themselves.
 _ONE_EACH = _ONE_THREAD | {THREADS: "1"}
-_LOCAL = {
+_LOCAL: dict[str, object] = {
     "distributed.scheduler.allowed-failures": ATTEMPTS - 1,
     # A machine that sleeps, or compiled code that keeps Python's lock, is no dead worker.
     "distributed.scheduler.worker-ttl": None,
