@@ -18,7 +18,7 @@ import os
 import platform
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -158,7 +158,7 @@ class Run:
     state: State
     software: tuple[Versions, ...]
     rows: tuple[FrameRow, ...]
-    files: Mapping[str, str]
+    files: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)

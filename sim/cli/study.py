@@ -32,7 +32,10 @@ def study(
     ] = 2,
     scheduler: Annotated[
         str | None,
-        typer.Option("--scheduler", help="Another Dask cluster, such as tcp://cluster:8786."),
+        typer.Option(
+            "--scheduler",
+            help="Another Dask cluster, such as tcp://cluster:8786; it trusts all who reach it.",
+        ),
     ] = None,
     processes: Annotated[
         str | None, typer.Option("--processes", help='"none": all in this process, to debug.')
