@@ -7,6 +7,7 @@ scan, so a scan that is stopped and resumed gives the same bytes.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
-from lscan.config.documents import Strict, check
+from lscan.acquisition.samerig import require_same_files
+from lscan.config.documents import Strict, check, named_files
 from lscan.config.rig import Plan
 from lscan.config.rigfile import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
@@ -101,12 +103,16 @@ class SimTrack(PassiveTrack):
 
 
 class TankCamera:
-    """Pictures of the tank, each by itself: called with the numbers of one, it takes that one."""
+    """Pictures of the tank, each by itself: called with the numbers of one, it takes that one.
 
-    def __init__(self, scene: Scene) -> None:
+    files: SHA-256 of what the scene's files are to hold, for another process loads them later.
+    """
+
+    def __init__(self, scene: Scene, files: Mapping[str, str] | None = None) -> None:
         from sim.render.tank import Tank
         from sim.sensor import Webcam
 
+        require_same_files(files or {}, Path(scene.source))
         self._scene, self._tank, self._webcam = scene, Tank(scene), Webcam(scene)
 
     def __call__(self, index: int, position_mm: float, dark: bool, lit: bool) -> Grab:
@@ -140,7 +146,9 @@ class SimCamera:
         self._scene, self._track = scene, track
         camera_options(scene)
         self._pictures: Ahead[Grab] | None = Ahead(
-            partial(TankCamera, scene), _planned(scene.rig.plan), sharing
+            partial(TankCamera, scene, named_files(scene.document)),
+            _planned(scene.rig.plan),
+            sharing,
         )
         self._next = 0
 

@@ -17,8 +17,8 @@ import json
 import os
 import platform
 import zlib
-from collections.abc import Iterable, Iterator
-from dataclasses import astuple, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -33,6 +33,7 @@ from lscan.config.rigfile import RigFile, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import list_names, read_bytes, require_within
 from lscan.files.jsontext import read_json
+from lscan.files.longwork import long_work
 from lscan.files.pictures import read_png
 from lscan.records import Bytes, Floats, Frame
 from lscan.version import __version__
@@ -53,6 +54,8 @@ class Manifest(Strict):
     ``lscan.devices.api.PlaceChecking`` gives it; left out where the track finds it anew.
     camera_identity: of the camera, as ``lscan.devices.api.Identified`` gives it; left out where
     that is unknown.
+    files: SHA-256 of each file that the rig names, such as a mesh, by its path; left out where it
+    names none.
     """
 
     format: Literal["lscan-run"] = "lscan-run"
@@ -63,6 +66,7 @@ class Manifest(Strict):
     rig: Document
     track_zero: str | None = Field(default=None, exclude_if=lambda zero: zero is None)
     camera_identity: str | None = Field(default=None, exclude_if=lambda identity: identity is None)
+    files: dict[str, str] = Field(default_factory=dict, exclude_if=lambda files: not files)
 
     def as_text(self) -> str:
         """The file's text: JSON with, as its last key, the SHA-256 of its meaning."""
@@ -142,6 +146,7 @@ class Run:
     software : tuple, versions of what wrote the folder; more than one entry where a scan was
         resumed under other versions
     rows : tuple, one per frame, in order
+    files : mapping, SHA-256 of each file that the rig names, by its path
 
     Examples
     --------
@@ -156,6 +161,7 @@ class Run:
     state: State
     software: tuple[Versions, ...]
     rows: tuple[FrameRow, ...]
+    files: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -196,10 +202,12 @@ class Run:
 
     def verify(self) -> None:
         """Read every picture's file and compare its checksum; InputError as ``frame``."""
-        for row in self.rows:
-            self._checked_bytes(row)
-            if row.dark_sha256 is not None:
-                self._checked_bytes(row, dark=True)
+        with long_work("recorded pictures checked") as progress:
+            for done, row in enumerate(self.rows, start=1):
+                self._checked_bytes(row)
+                if row.dark_sha256 is not None:
+                    self._checked_bytes(row, dark=True)
+                progress(done, len(self))
 
     def _checked_bytes(self, row: FrameRow, dark: bool = False) -> bytes:
         file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
@@ -262,7 +270,8 @@ def open_run(path: Path | str, trusted: bool = False) -> Run:
             file = frame_file(path, row.index, dark)
             if file.name not in present:
                 raise InputError(f"missing, but {TABLE} line {row.index + 2} lists it", where=file)
-    return Run(path, rig_file, manifest.state, tuple(manifest.software), tuple(rows))
+    software, files = tuple(manifest.software), manifest.files
+    return Run(path, rig_file, manifest.state, software, tuple(rows), files)
 
 
 def frame_file(path: Path, index: int, dark: bool = False) -> Path:

@@ -14,6 +14,7 @@ from lscan.config.plugins import find_plugin, installed
 from lscan.config.rigfile import RigFile
 from lscan.devices.api import Camera, Identified
 from lscan.errors import DeviceError, InputError
+from lscan.files.disk import content_sha256
 
 _log = logging.getLogger(__name__)
 
@@ -74,10 +75,38 @@ def require_same_camera(begun_with: str | None, camera: Camera) -> None:
         )
 
 
+def require_same_files(files: Mapping[str, str], where: Path) -> None:
+    """Refuse files that hold something else than they did.
+
+    Parameters
+    ----------
+    files : mapping, SHA-256 of what each held, by its path
+    where : Path, what was made with them, for the error
+
+    Raises
+    ------
+    InputError
+        Names the first file that is another one, or is gone.
+    """
+    for file, kept in files.items():
+        now = content_sha256(Path(file))
+        if now != kept:
+            raise InputError(
+                f"{'was changed' if now else 'is gone'} since {where} was made with it",
+                where=file,
+                value=now or None,
+                allowed=f"SHA-256 {kept}: bring that file back, or begin anew",
+            )
+
+
 def first_difference(one: Any, other: Any) -> str | None:
     """Key path, such as ``camera.options.seed``, of the first difference of two documents.
 
     None where there is none.  1 and 1.0 differ: they would not give the same run.json.
+
+    Parameters
+    ----------
+    one, other : Document, or any part of one
     """
     left, right = dict(_leaves(one)), dict(_leaves(other))
     return next((key for key in [*left, *right] if left.get(key) != right.get(key)), None)

@@ -31,7 +31,8 @@ from lscan.acquisition.run import (
     read_manifest,
     recording_versions,
 )
-from lscan.acquisition.samerig import require_same_camera, require_same_rig
+from lscan.acquisition.samerig import require_same_camera, require_same_files, require_same_rig
+from lscan.config.documents import named_files
 from lscan.config.rigfile import RigFile
 from lscan.devices.api import Camera, Identified
 from lscan.errors import InputError, LscanError
@@ -244,8 +245,8 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
     ------
     InputError
         The folder is something else than a run, was begun with another rig (the first differing key
-        path is named), is being written by another scan, or is damaged in a way that being killed
-        does not explain.
+        path is named) or with a mesh, say, that was changed since, is being written by another
+        scan, or is damaged in a way that being killed does not explain.
     """
     if not os.path.exists(path):  # noqa: PTH110 - takes any text
         return create_run(path, rig_file)
@@ -283,7 +284,10 @@ def _new_manifest(rig_file: RigFile) -> Manifest:
             allowed="text, finite numbers, true, false, lists and tables",
         ) from error
     software, plan = [recording_versions(rig_file.rig)], rig_file.rig.plan
-    return Manifest(state="scanning", software=software, plan=plan, rig=rig_file.document)
+    files = named_files(rig_file.document)
+    return Manifest(
+        state="scanning", software=software, plan=plan, rig=rig_file.document, files=files
+    )
 
 
 def _change_manifest(path: Path, **values: Any) -> None:
@@ -331,6 +335,7 @@ def _recover(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
     """Clear away what a killed scan left, check the rest, return the rows of the frames."""
     manifest, kept = read_manifest(path)
     require_same_rig(kept, rig_file, where=path / MANIFEST)
+    require_same_files(manifest.files, path)
     if manifest.state == "scanning":
         _remove_temporaries(path)
         cut_torn_line(path / TABLE, most_table_bytes(manifest.plan))

@@ -151,6 +151,8 @@ def _stripes(
     image: Bytes, settings: StripeSection, keep: Mask | None, dark: Bytes | None, both: bool
 ) -> tuple[Stripe, ...]:
     """The line in the part of the picture, or the two lines of a scanner with two lasers."""
+    from lscan.errors import InputError
+    from lscan.records import has_value
     from lscan.stripe import extract_stripe
     from lscan.stripe.parts import extract_within, told_apart
 
@@ -158,7 +160,13 @@ def _stripes(
     if not both:
         return (find(image, settings, background=dark),)
     first, last = (settings.model_copy(update={"returns": which}) for which in ("first", "last"))
-    return told_apart(find(image, first, background=dark), find(image, last, background=dark))
+    upper, lower = find(image, first, background=dark), find(image, last, background=dark)
+    two = told_apart(upper, lower)
+    if (count := has_value(upper.status).sum()) and not any(has_value(s.status).any() for s in two):
+        what = f"both: {count} {settings.axis} hold one line, and none holds two"
+        allowed = "of one laser, brightest, first or last"
+        raise InputError(what, where="--returns", allowed=allowed)
+    return two
 
 
 def _shows_more(

@@ -7,9 +7,12 @@ including file wins, so scenes share one rig instead of repeating it.
 what was included.  Paths inside a document are relative to the file they stand in.
 """
 
+import hashlib
+import json
 import os
 import re
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import reduce
 from operator import getitem
@@ -22,7 +25,7 @@ from pydantic_core import CoreSchema, ErrorDetails
 from lscan.config.allowed import Keys, in_words, names, tags_in_words, trace
 from lscan.config.scenes import included_file, scene_file
 from lscan.errors import InputError
-from lscan.files.disk import read_text
+from lscan.files.disk import content_sha256, read_text
 from lscan.files.jsontext import MOST_LEVELS, TOO_DEEP, check_values, dotted
 
 Document = dict[str, Any]
@@ -156,11 +159,71 @@ def _anchor_paths(table: Document, source: Path, within: str = "") -> None:
     for key, value in table.items():
         if isinstance(value, dict):
             _anchor_paths(value, source, f"{within}{key}.")
-        elif isinstance(value, str) and (key == "file" or key.endswith("_file")):
+        elif isinstance(value, str) and _names_file(key):
             if value == "":
                 what = f"{within}{key}: must be a text that is a path"
                 raise InputError(what, where=source, value=value)
             table[key] = os.path.realpath(source.parent / value)
+
+
+def named_files(document: Document) -> dict[str, str]:
+    """SHA-256 of what each file holds that a document names, by its path; "" where it is missing.
+
+    Parameters
+    ----------
+    document : Document, as ``read_document`` gives it
+
+    Raises
+    ------
+    InputError
+        A file cannot be read.
+    """
+    return {file: _sha256(Path(file)) for file in _files_in(document)}
+
+
+def by_content(document: Any, key: str = "") -> Any:
+    """A document with the SHA-256 of what each file holds in place of its path.
+
+    Parameters
+    ----------
+    document : Document, as ``read_document`` gives it, or any value in one
+    key : str, that a value stands at
+
+    Raises
+    ------
+    InputError
+        A file cannot be read.
+    """
+    if isinstance(document, dict):
+        return {name: by_content(value, name) for name, value in document.items()}
+    if isinstance(document, list):
+        return [by_content(value) for value in document]
+    if isinstance(document, str) and _names_file(key):
+        return _sha256(Path(document)) or document
+    return document
+
+
+def _sha256(file: Path) -> str:
+    """That of what a file holds; of a document that includes others, of all of them together."""
+    if file.suffix == ".toml" and os.path.isfile(file) and "include" in _parse(file):  # noqa: PTH113
+        text = json.dumps(by_content(read_document(file)), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+    return content_sha256(file)
+
+
+def _files_in(value: Any, key: str = "") -> Iterator[str]:
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _files_in(inner, name)
+    elif isinstance(value, list):
+        for inner in value:
+            yield from _files_in(inner)
+    elif isinstance(value, str) and _names_file(key):
+        yield value
+
+
+def _names_file(key: str) -> bool:
+    return key == "file" or key.endswith("_file")
 
 
 def merge(base: Document, over: Document) -> Document:

@@ -8,6 +8,7 @@ Writing: a crash or a full disk at any moment leaves no half file behind, and no
 import codecs
 import errno
 import fcntl
+import hashlib
 import os
 import secrets
 import shutil
@@ -149,6 +150,31 @@ def read_text(file: Path, most: int = MOST_TEXT_BYTES, within: Path | None = Non
         wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         value = "UTF-16; save it as UTF-8" if wide else None
         raise InputError("is not UTF-8 text", where=file, value=value) from error
+
+
+def content_sha256(path: Path) -> str:
+    """SHA-256 of what a file holds, or a folder's own files and their names; "" of nothing there.
+
+    Parameters
+    ----------
+    path : Path, links are followed
+
+    Raises
+    ------
+    InputError
+        It cannot be read.
+    """
+    try:
+        if path.is_dir():
+            files = sorted(file for file in path.iterdir() if file.is_file())
+            text = "".join(f"{file.name}\0{content_sha256(file)}\n" for file in files)
+            return hashlib.sha256(text.encode()).hexdigest()
+        if not path.is_file():  # nor waited for, where it is a FIFO
+            return ""
+        with path.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").hexdigest()
+    except OSError as error:
+        raise _unreadable(path, error) from error
 
 
 def require_within(path: Path, folder: Path) -> None:
@@ -409,7 +435,8 @@ def lock_folder(folder: Path, writer: str = "scan") -> int:
     Raises
     ------
     InputError
-        Another process holds the lock, or the folder cannot be opened.
+        Another process holds the lock, the folder cannot be opened, or its file system has no
+        locks, as some of networks have none.
     """
     with disk_errors(folder):
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -417,7 +444,11 @@ def lock_folder(folder: Path, writer: str = "scan") -> int:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(descriptor)
-        raise InputError(f"is being written by another {writer}", where=folder) from error
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
+            raise InputError(f"is being written by another {writer}", where=folder) from error
+        what = f"cannot be locked against another {writer}: {error.strerror}"
+        allowed = "a folder on a file system with flock, as local disks are"
+        raise InputError(what, where=folder, allowed=allowed) from error
     return descriptor
 
 

@@ -21,7 +21,10 @@ def dataset(
     ] = 2,
     scheduler: Annotated[
         str | None,
-        typer.Option("--scheduler", help="Another Dask cluster that sees the same folder."),
+        typer.Option(
+            "--scheduler",
+            help="Another Dask cluster that sees the same folder; it trusts all who reach it.",
+        ),
     ] = None,
     processes: Annotated[
         str | None, typer.Option("--processes", help='"none": all in this process, to debug.')

@@ -33,7 +33,10 @@ def study(
     ] = 2,
     scheduler: Annotated[
         str | None,
-        typer.Option("--scheduler", help="Another Dask cluster, such as tcp://cluster:8786."),
+        typer.Option(
+            "--scheduler",
+            help="Another Dask cluster, such as tcp://cluster:8786; it trusts all who reach it.",
+        ),
     ] = None,
     processes: Annotated[
         str | None, typer.Option("--processes", help='"none": all in this process, to debug.')
@@ -119,10 +122,12 @@ def _print_budgets(outputs: "tuple[OutputBudget, ...]") -> None:
         headings = ["cause", f"alone, {budget.unit}", "first index", "total index"]
         cells = [
             [cause.cause, _shown(cause.alone_rms), _percent(cause.first), _percent(cause.total)]
-            + [_shown(again[cause.cause].alone_rms)] * bool(again)
             for cause in sorted(budget.causes, key=_alone, reverse=True)
         ]
-        headings += ["alone, recalibrated"] * bool(again)
+        if again:  # where anything drifts
+            headings.append("alone, recalibrated")
+            for row in cells:
+                row.append(_shown(again[row[0]].alone_rms))
         print_table(f"{budget.name}: rms {_rms(budget)}", headings, cells)
     headings = ["quantity", "rms error", "most of its variance", "total index"]
     cells = []
@@ -135,17 +140,19 @@ def _print_budgets(outputs: "tuple[OutputBudget, ...]") -> None:
 
 def _print_front(trials: "tuple[DesignTrial, ...]") -> None:
     """The designs on the front, one a line, the least error first."""
+    from sim.studies.page import figure
+
     best = [(number, trial) for number, trial in enumerate(trials, start=1) if trial.on_front]
     if not best:
         if trials:
             print("no design keeps all limits")
         return
-    best.sort(key=lambda one: next(iter(one[1].objectives.values())) or 0.0)
+    best.sort(key=lambda one: float(next(iter(one[1].objectives.values())) or 0.0))
     headings = ["design", *best[0][1].objectives, "same rigs", "rendered", "parts", "status"]
     cells = [
         [number]
-        + ["" if value is None else f"{value:.3g}" for value in trial.objectives.values()]
-        + ["" if trial.predicted_mm is None else f"{trial.predicted_mm:.3g}"]
+        + [v if isinstance(v, str) else figure(v) for v in trial.objectives.values()]
+        + [figure(trial.predicted_mm)]
         + [_shown(trial.rendered_mm), ", ".join(map(str, trial.parts.values())), trial.status]
         for number, trial in best
     ]

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
+from lscan.acquisition.samerig import first_difference
 from lscan.errors import InputError
 from lscan.files.datasets import MANIFEST, MOST_PICTURES, VERSION
 from lscan.files.disk import (
@@ -21,6 +22,7 @@ from lscan.files.disk import (
     write_atomically,
 )
 from lscan.files.jsontext import read_json, write_json
+from lscan.files.longwork import long_work
 from lscan.records import Progress
 from lscan.version import __version__
 from sim.datasets.datasetshards import (
@@ -29,6 +31,7 @@ from sim.datasets.datasetshards import (
     ShardTask,
     kept_record,
     make_shard,
+    packed_shard,
     rendered,
 )
 from sim.datasets.datasetspec import DatasetSpec
@@ -93,7 +96,7 @@ def make_dataset(
         identity = _identity(spec, count, form)
         _keep_identity(folder, identity, resume)
         tasks = _tasks(spec, folder, count, form)
-        records = {task.number: record for task in tasks if (record := kept_record(task))}
+        records = _kept(tasks)
         missing = [task for task in tasks if task.number not in records]
         done = sum(task.count for task in tasks if task.number in records)
         if missing and say is not None:
@@ -110,6 +113,17 @@ def make_dataset(
         return manifest
     finally:
         os.close(lock)
+
+
+def _kept(tasks: Sequence[ShardTask]) -> dict[int, ShardRecord]:
+    """The records of the shards that are there, by number, each shard held against its hash."""
+    records: dict[int, ShardRecord] = {}
+    with long_work("shards checked") as progress:
+        for done, task in enumerate(tasks, start=1):
+            if record := kept_record(task):
+                records[task.number] = record
+            progress(done, len(tasks))
+    return records
 
 
 def _tasks(spec: DatasetSpec, folder: Path, count: int, form: Format) -> list[ShardTask]:
@@ -132,20 +146,13 @@ def _made(
     from sim.studies.cluster import in_order, open_client  # takes a second to import
 
     with open_client(workers, scheduler) as client:
-        waiting = iter(tasks)
-        found = in_order(client, make_shard, tasks, _killed)
-        for task, record in zip(waiting, found, strict=True):
-            keys = [f"{n:09d}" for n in range(task.first, task.first + task.count)]
-            if record.file:
-                yield record
-            else:  # its workers died time and again
-                empty = replace(task, count=0)
-                made = make_shard(empty)
-                yield replace(made, failed=dict.fromkeys(keys, record.failed[""]))
-
-
-def _killed(reason: str) -> ShardRecord:
-    return ShardRecord("", "", (), {"": reason})
+        first = tasks[0]
+        found = in_order(
+            client, make_shard, tasks, str, files=first.spec.files, folder=first.folder
+        )
+        for task, record in zip(tasks, found, strict=True):
+            # Where its workers died time and again, it has what they had made by then.
+            yield packed_shard(task, record) if isinstance(record, str) else record
 
 
 def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -> str:
@@ -165,7 +172,9 @@ def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -
 def _identity(spec: DatasetSpec, count: int, form: Format) -> dict[str, Any]:
     content = {"lscan": __version__, "count": count, "format": form, **spec.document}
     text = json.dumps(content, sort_keys=True)
-    return {"sha256": hashlib.sha256(text.encode()).hexdigest(), **content}
+    # By name for who asks which it was; what they hold is in the scenes' own hashes.
+    files = {Path(file).name: sha256 for file, sha256 in spec.files.items()}
+    return {"files_sha256": files, **content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None:
@@ -180,8 +189,10 @@ def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None
         raise InputError("holds a data set", where=folder, allowed="--resume, or a new folder")
     kept = read_json(file, within=folder)
     if not isinstance(kept, dict) or kept.get("sha256") != identity["sha256"]:
+        differing = first_difference(kept, identity) if isinstance(kept, dict) else IDENTITY
         allowed = "the same spec, scenes, count, format and version of lscan; or a new folder"
-        raise InputError("holds another data set", where=folder, allowed=allowed)
+        what = f"holds another data set, which differs in {differing}"
+        raise InputError(what, where=folder, allowed=allowed)
 
 
 def _manifest(identity: dict[str, Any], records: Sequence[ShardRecord]) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 """The pictures of one tank with their labels, as the files of one shard."""
 
-import io
 import logging
 import os
 import shutil
 import tarfile
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from io import BytesIO
 from pathlib import Path
@@ -18,7 +18,14 @@ import numpy as np
 
 from lscan.errors import InputError, LscanError
 from lscan.files.datasets import MEMBERS, shard_sha256
-from lscan.files.disk import disk_errors, sync_folder, temporary_name, write_atomically
+from lscan.files.disk import (
+    disk_errors,
+    list_names,
+    make_folder,
+    sync_folder,
+    temporary_name,
+    write_atomically,
+)
 from lscan.files.jsontext import json_text, read_json, write_json
 from lscan.files.pictures import encoded
 from lscan.files.runlengths import run_lengths
@@ -33,6 +40,7 @@ PNG_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 # Noise hardly repeats: without looking for what does, pictures are smaller, and read faster.
 PNG_NOISY = (*PNG_FAST, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
 ZIP_FAST = 1
+PICTURE, FAILED = ".tar", ".failed"  # ends of names of what is kept until a shard is whole
 MOST_HALF = 65504.0  # that 16 bits of IEEE 754 hold
 MOST_RECORD_BYTES = 2**26
 
@@ -58,6 +66,11 @@ class ShardTask:
         """Its name in the folder."""
         return f"shard-{self.number:06d}{ENDINGS[self.form]}"
 
+    @property
+    def keys(self) -> list[str]:
+        """Of its pictures."""
+        return [f"{number:09d}" for number in range(self.first, self.first + self.count)]
+
 
 @dataclass(frozen=True)
 class ShardRecord:
@@ -72,6 +85,9 @@ class ShardRecord:
 def make_shard(task: ShardTask) -> ShardRecord:
     """Render a shard and write it, whole or not at all, then its record beside it.
 
+    Each picture is kept in a folder beside the shard as soon as it is made: whatever ends this
+    loses the picture under way, and memory holds one at a time.
+
     Parameters
     ----------
     task : ShardTask
@@ -81,18 +97,47 @@ def make_shard(task: ShardTask) -> ShardRecord:
     InputError
         The disk refuses.
     """
-    pictures: dict[str, dict[str, bytes]] = {}
-    failed: dict[str, str] = {}
-    for key, found in rendered(task):
-        if isinstance(found, str):
-            failed[key] = found
-        else:
-            pictures[key] = found
-    path = task.folder / task.file
-    WRITERS[task.form](path, pictures)
-    record = ShardRecord(task.file, shard_sha256(path), tuple(pictures), failed)
+    make_folder(_parts(task))
+    there = list_names(_parts(task))
+    for key, found in rendered(task, {Path(name).stem for name in there}):
+        failed = isinstance(found, str)
+        data = found.encode() if isinstance(found, str) else _tar(key, found)
+        write_atomically(_parts(task) / f"{key}{FAILED if failed else PICTURE}", data)
+    return packed_shard(task)
+
+
+def packed_shard(task: ShardTask, missing: str = "was not made") -> ShardRecord:
+    """Write a shard of the pictures that have been kept, then its record beside it.
+
+    Parameters
+    ----------
+    task : ShardTask
+    missing : str, why there are no others
+
+    Raises
+    ------
+    InputError
+        The disk refuses.
+    """
+    parts, path = _parts(task), task.folder / task.file
+    make_folder(parts)
+    there = list_names(parts)
+    keys = tuple(key for key in task.keys if f"{key}{PICTURE}" in there)
+    failed = {key: missing for key in task.keys if key not in keys}
+    for key in failed:
+        if f"{key}{FAILED}" in there:
+            failed[key] = (parts / f"{key}{FAILED}").read_text(encoding="utf-8")
+    with _replacing(path) as file:
+        WRITERS[task.form](file, _files(parts, keys))
+    record = ShardRecord(task.file, shard_sha256(path), keys, failed)
     write_json(record_file(task), asdict(record))
+    shutil.rmtree(parts, ignore_errors=True)
     return record
+
+
+def _parts(task: ShardTask) -> Path:
+    """The folder of the pictures of a shard that is not whole yet."""
+    return task.folder / f"shard-{task.number:06d}.partial"
 
 
 def record_file(task: ShardTask) -> Path:
@@ -115,28 +160,39 @@ def kept_record(task: ShardTask) -> ShardRecord | None:
         whole = shard_sha256(task.folder / task.file) == record.sha256
     except (InputError, ValueError, KeyError, TypeError):
         return None
-    numbers = range(task.first, task.first + task.count)
-    same = {*record.keys, *record.failed} == {f"{n:09d}" for n in numbers}
+    same = {*record.keys, *record.failed} == set(task.keys)
     return record if whole and same else None
 
 
-def rendered(task: ShardTask) -> Iterator[tuple[str, dict[str, bytes] | str]]:
-    """Each picture's key, and its files, or in one line why there are none."""
+def rendered(
+    task: ShardTask, but: Set[str] = frozenset()
+) -> Iterator[tuple[str, dict[str, bytes] | str]]:
+    """Each picture's key, and its files, or in one line why there are none.
+
+    Parameters
+    ----------
+    task : ShardTask
+    but : set of str, keys of pictures that are left out
+    """
     from sim.render.tank import Tank
 
-    numbers = range(task.first, task.first + task.count)
+    keys = [key for key in task.keys if key not in but]
+    if not keys:
+        return
     try:
         base, drawn = task.spec.tank(task.number)
         tank = Tank(base)
     except Exception as error:  # whatever it is, the other shards are still wanted
-        yield from ((f"{number:09d}", _reason(error)) for number in numbers)
+        yield from ((key, _reason(error)) for key in keys)
         return
-    for number in numbers:
+    for key in keys:
         try:
-            scene, own = task.spec.picture(base, number)
-            yield f"{number:09d}", picture_files(tank, scene, drawn | own)
+            scene, own = task.spec.picture(base, int(key))
+            found = picture_files(tank, scene, drawn | own)
         except Exception as error:  # a failed scene is a row of the manifest
-            yield f"{number:09d}", _reason(error)
+            yield key, _reason(error)
+        else:
+            yield key, found
 
 
 def _reason(error: Exception) -> str:
@@ -211,49 +267,73 @@ def _zipped(arrays: Mapping[str, np.ndarray]) -> bytes:
     return stream.getvalue()
 
 
-def _flat(pictures: Mapping[str, Mapping[str, bytes]]) -> Iterator[tuple[str, bytes]]:
-    for key, files in pictures.items():
-        for name, data in files.items():
-            yield f"{key}.{name}", data
-
-
-def _write_tar(path: Path, pictures: Mapping[str, Mapping[str, bytes]]) -> None:
+def _tar(key: str, files: Mapping[str, bytes]) -> bytes:
+    """The files of one picture as an archive, their names behind its key."""
     stream = BytesIO()
-    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
-        for name, data in _flat(pictures):
-            info = tarfile.TarInfo(name)
-            info.size = len(data)
-            tar.addfile(info, io.BytesIO(data))
-    write_atomically(path, stream.getvalue())
+    _write_tar(stream, ((f"{key}.{name}", data) for name, data in files.items()))
+    return stream.getvalue()
 
 
-def _write_hdf5(path: Path, pictures: Mapping[str, Mapping[str, bytes]]) -> None:
-    stream = BytesIO()
-    with h5py.File(stream, "w") as file:
-        for key, files in pictures.items():
-            group = file.create_group(key)
-            for name, data in files.items():
-                group.create_dataset(name, data=np.frombuffer(data, np.uint8), track_times=False)
-    write_atomically(path, stream.getvalue())
+def _files(parts: Path, keys: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+    """Name and content of each file of pictures that have been kept, one picture at a time."""
+    for key in keys:
+        with tarfile.open(parts / f"{key}{PICTURE}") as tar:
+            for member in tar:
+                content = tar.extractfile(member)
+                assert content is not None  # all are files
+                yield member.name, content.read()
 
 
-def _write_folder(path: Path, pictures: Mapping[str, Mapping[str, bytes]]) -> None:
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """Where to write a file or a folder that takes a path's place, whole and synced."""
     temporary = path.parent / temporary_name(path.name)
     with disk_errors(path):
         try:
-            temporary.mkdir()
-            for name, data in _flat(pictures):
-                (temporary / name).write_bytes(data)
-            for file in temporary.iterdir():
+            _remove(temporary)  # what a killed writer left
+            yield temporary
+            for file in temporary.iterdir() if temporary.is_dir() else [temporary]:
                 descriptor = os.open(file, os.O_RDONLY)
                 os.fsync(descriptor)
                 os.close(descriptor)
-            shutil.rmtree(path, ignore_errors=True)  # where a killed writer left it
+            if path.is_dir() or temporary.is_dir():
+                _remove(path)
             temporary.rename(path)
+            sync_folder(path.parent)
         except BaseException:
-            shutil.rmtree(temporary, ignore_errors=True)
+            _remove(temporary)
             raise
-        sync_folder(path.parent)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _write_tar(to: Path | BytesIO, files: Iterable[tuple[str, bytes]]) -> None:
+    where: Any = {"fileobj": to} if isinstance(to, BytesIO) else {"name": to}
+    with tarfile.open(**where, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for name, data in files:
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            tar.addfile(info, BytesIO(data))
+
+
+def _write_hdf5(to: Path, files: Iterable[tuple[str, bytes]]) -> None:
+    # HDF5's own files lay out their metadata otherwise than its files of Python do.
+    with to.open("w+b") as stream, h5py.File(stream, "w") as file:
+        for name, data in files:
+            key, _, member = name.partition(".")
+            content = np.frombuffer(data, np.uint8)
+            file.require_group(key).create_dataset(member, data=content, track_times=False)
+
+
+def _write_folder(to: Path, files: Iterable[tuple[str, bytes]]) -> None:
+    to.mkdir()
+    for name, data in files:
+        (to / name).write_bytes(data)
 
 
 WRITERS = {"webdataset": _write_tar, "hdf5": _write_hdf5, "folders": _write_folder}

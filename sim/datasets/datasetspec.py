@@ -1,6 +1,7 @@
 """What a data set is drawn from: a spec file, and the scenes that it makes of a seed."""
 
 import hashlib
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Self, get_args
@@ -8,7 +9,14 @@ from typing import Annotated, Self, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.config.documents import Document, Strict, check, read_document
+from lscan.config.documents import (
+    Document,
+    Strict,
+    by_content,
+    check,
+    named_files,
+    read_document,
+)
 from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
 from sim.devices import load_checked
@@ -100,10 +108,17 @@ class DatasetSpec:
 
     @property
     def document(self) -> Document:
-        """All that the pictures depend on, of JSON types; files that scenes name by path."""
-        scenes = [f"{one.rig.model_dump_json()}{one.tank.model_dump_json()}" for one in self.scenes]
-        hashes = [hashlib.sha256(one.encode()).hexdigest() for one in scenes]
+        """All that the pictures depend on, of JSON types; of files of the scenes, the content."""
+        models = [(one.rig, one.tank) for one in self.scenes]
+        dumped = [[part.model_dump(mode="json") for part in parts] for parts in models]
+        texts = [json.dumps(by_content(parts), sort_keys=True) for parts in dumped]
+        hashes = [hashlib.sha256(text.encode()).hexdigest() for text in texts]
         return {"spec": self.file.model_dump(mode="json", by_alias=True), "scenes_sha256": hashes}
+
+    @property
+    def files(self) -> dict[str, str]:
+        """SHA-256 of each file that the scenes name, by its path."""
+        return {k: v for one in self.scenes for k, v in named_files(one.document).items()}
 
     def tank(self, shard: int) -> tuple[Scene, dict[str, float]]:
         """The scene that a shard's pictures have in common, and the numbers drawn for it.

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from lscan.acquisition.run import Run
+from lscan.acquisition.samerig import require_same_files
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
@@ -135,7 +136,8 @@ def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
     Raises
     ------
     InputError
-        The run was not made in the tank, or holds no picture.
+        The run was not made in the tank, holds no picture, or a mesh or texture that it was made
+        with was changed since.
     """
     if not set(run.rig_file.document) & SECTIONS:
         raise InputError(
@@ -145,6 +147,7 @@ def taken_in(run: Run) -> tuple[Scene, list[Taken]]:
         )
     if len(run) == 0:
         raise InputError("holds no frame yet", where=run.path)
+    require_same_files(run.files, run.path)
     taken = [Taken(row.index, row.position_mm, row.exposure_ms) for row in run.rows]
     return scene_of(run.rig_file), taken
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import pytest
@@ -50,6 +51,8 @@ def tank() -> TankPictures:
     The test is skipped where Mitsuba is not installed.
     """
     pytest.importorskip("mitsuba", reason="rendering needs pip install 'lscan[tank]'")
+    from lscan.config.documents import by_content, merge, read_document
+    from lscan.config.scenes import included_file
     from sim.datasets.rendered import rendered_case
 
     known: dict[str, SuiteCase | BoardCase] = {}
@@ -57,7 +60,8 @@ def tank() -> TankPictures:
     def shown(
         scene: str, sections: Mapping[str, Mapping[str, Any]] | None = None
     ) -> SuiteCase | BoardCase:
-        content = json.dumps([scene, sections or {}], sort_keys=True, default=str)
+        document = merge(read_document(included_file(Path(), scene)), dict(sections or {}))
+        content = json.dumps([scene, by_content(document)], sort_keys=True, default=str)
         if content not in known:
             known[content] = rendered_case(scene, sections or {})
         return known[content]

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.config.documents import Document, Strict, check, merge, read_document
+from lscan.config.documents import Document, Strict, by_content, check, merge, read_document
 from lscan.config.rigfile import inline_board, parse_rig
 from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
@@ -252,20 +252,9 @@ class SuiteSpec:
     def sha256(self) -> str:
         """Of all that the cases depend on but the seed: of files their content, not their place."""
         documents = [[cases.document, cases.board] for cases in self.case_sets]
-        stated = _by_content([self.file.model_dump(mode="json"), *documents])
+        stated = by_content([self.file.model_dump(mode="json"), *documents])
         text = json.dumps(stated, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
-
-
-def _by_content(value: Any) -> Any:
-    """A document in which the path of a file is the checksum of what the file holds."""
-    if isinstance(value, dict):
-        return {key: _by_content(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_by_content(one) for one in value]
-    if isinstance(value, str) and Path(value).is_absolute() and Path(value).is_file():
-        return hashlib.sha256(Path(value).read_bytes()).hexdigest()
-    return value
 
 
 def load_suite_spec(path: Path | str, seed: int | None = None) -> SuiteSpec:

@@ -1,44 +1,67 @@
-"""Batches of rows on Dask's workers: processes of this machine, or those of any scheduler."""
+"""Batches of rows on Dask's workers: processes of this machine, or those of any scheduler.
+
+Whoever reaches a scheduler can have any code run by its workers.  Those of this machine that a
+study starts talk by TLS alone, with keys made for it that no other process has; another cluster
+is its owner's to guard.
+"""
 
 import logging
 import multiprocessing
+import secrets
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from pkgutil import resolve_name
 from typing import TypeVar
 
+import cryptography  # noqa: F401 - what temporary keys are made with; missing, it is named
 import dask
 import numpy as np
 from distributed import Client, Future, KilledWorker, LocalCluster, WorkerPlugin, as_completed
 from distributed.comm import CommClosedError
 
 from lscan.acquisition.inorder import cores, require_guarded_main
+from lscan.config.documents import named_files
 from lscan.errors import InputError, LscanError
+from lscan.files.disk import disk_errors
 from lscan.records import Floats
+from lscan.version import __version__
 from sim.render.backend import THREADS
 from sim.studies.batches import Batches
 from sim.studies.store import Batch, Results
-from sim.studies.worker import ProblemSource, evaluate_rows
+from sim.studies.worker import (
+    InCommon,
+    ProblemSource,
+    call_in_common,
+    evaluate_rows,
+    package_versions,
+)
 
 KILLED = "killed its worker"
 ATTEMPTS = 3  # that a worker's death ends, before a batch or a row is given up
 AHEAD = 2  # batches a worker: the one it works on, and the next
 CONNECT_S = 20.0
 CLOSE_S = 10.0
+MARKER = ".seen-by-workers-"
 RECOUNT_S = 2.0  # between counts of a cluster's workers, each of which costs a few ms
 
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 # Dr.Jit's threads wait for work at full speed: as many workers as cores need them themselves.
 _ONE_EACH = _ONE_THREAD | {THREADS: "1"}
-_LOCAL = {
+_LOCAL: dict[str, object] = {
     "distributed.scheduler.allowed-failures": ATTEMPTS - 1,
     # A machine that sleeps, or compiled code that keeps Python's lock, is no dead worker.
     "distributed.scheduler.worker-ttl": None,
     # One that is dead so long after another death is started again all the same, not given up.
     "distributed.deploy.lost-worker-timeout": "1000 days",
     "distributed.worker.profile.enabled": False,
+    # Pages that tell anybody on this machine what is being computed.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
     # Dask has glibc give memory back at once: asking for a picture's arrays anew, page by page,
     # takes a third of the time to render it.  A worker's one working thread uses the main heap.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 2**29,
@@ -50,6 +73,7 @@ _log = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
+Other = TypeVar("Other")
 
 
 class DeafToCtrlC(WorkerPlugin):
@@ -67,13 +91,13 @@ def open_client(workers: int = 2, scheduler: str | None = None) -> Iterator[Clie
     Parameters
     ----------
     workers : int, processes of this machine, each with one thread
-    scheduler : str or None, address of a scheduler, such as "tcp://cluster:8786", whose workers
-        have this version of lscan
+    scheduler : str or None, address of a scheduler, such as "tcp://cluster:8786"; it and its
+        workers can have any code run here and there, and so can whoever else reaches them
 
     Raises
     ------
     InputError
-        No scheduler answers at the address, or it has no workers.
+        No scheduler answers at the address, it has no workers, or one has another lscan.
     """
     if scheduler is None:
         with _local_client(workers) as client:
@@ -88,6 +112,7 @@ def open_client(workers: int = 2, scheduler: str | None = None) -> Iterator[Clie
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError as error:
             raise InputError("has no workers", where=f"--scheduler {scheduler}") from error
+        _require_versions(client)
         yield client
     finally:
         with suppress(TimeoutError, OSError):
@@ -106,6 +131,7 @@ def _local_client(workers: int) -> Iterator[Client]:
                 threads_per_worker=1,
                 processes=True,
                 host="127.0.0.1",
+                security=True,
                 # None would be port 8787, which another study may have.
                 dashboard_address="127.0.0.1:0",
                 memory_limit=0,  # nothing for Dask to watch: workers keep no results
@@ -146,10 +172,14 @@ def on_client(
     ------
     LscanError
         The scheduler is gone, or a worker cannot make the problem.
+    InputError
+        A worker has other versions of packages, or other files, than this process.
     """
     batches = Batches(rows)
     suspects: list[Floats] = []
-    for finished in _in_flight(client, source, sha256, batches, suspects):
+    common = _in_common(named_files(dict(source.document)))
+    submit = partial(client.submit, call_in_common, common, evaluate_rows, source, sha256)
+    for finished in _in_flight(client, submit, batches, suspects):
         for batch in finished:
             batches.learn(len(batch.rows), batch.seconds)
         yield finished
@@ -158,15 +188,14 @@ def on_client(
         _log.warning("workers were killed: %d rows are evaluated one by one", len(alone))
     for row in alone:
         killers: list[Floats] = []
-        yield from _in_flight(client, source, sha256, [row], killers)
+        yield from _in_flight(client, submit, [row], killers)
         if killers:
             yield [Batch(row, Results(np.full((1, 0), np.nan), (KILLED,)), 0.0)]
 
 
 def _in_flight(
     client: Client,
-    source: ProblemSource,
-    sha256: str,
+    submit_rows: Callable[..., Future],
     batches: Iterable[Floats],
     killers: list[Floats],
 ) -> Iterator[list[Batch]]:
@@ -182,7 +211,7 @@ def _in_flight(
         if time.monotonic() - asked_s > RECOUNT_S:
             most, asked_s = AHEAD * max(len(client.nthreads()), 1), time.monotonic()
         while len(under_way) < most and (rows := next(waiting, None)) is not None:
-            future = client.submit(evaluate_rows, source, sha256, rows, pure=False)
+            future = submit_rows(rows, pure=False)
             under_way[future] = rows
             done.add(future)
 
@@ -207,8 +236,11 @@ def in_order(
     client: Client,
     function: Callable[[Item], Found],
     of: Sequence[Item],
-    killed: Callable[[str], Found],
-) -> Iterator[Found]:
+    killed: Callable[[str], Other],
+    *,
+    files: Mapping[str, str] | None = None,
+    folder: Path | None = None,
+) -> Iterator[Found | Other]:
     """What a function gives for each of a few things, in their order, as far as they are done.
 
     Parameters
@@ -217,16 +249,59 @@ def in_order(
     function : callable, pure
     of : sequence
     killed : callable, what to give, by the reason, for one that killed its workers time and again
+    files : mapping, optional, SHA-256 of each file that the function reads, by its path
+    folder : Path, optional, that the function writes to
+
+    Raises
+    ------
+    InputError
+        A worker has other versions of packages, other files, or another folder of that name.
+    LscanError
+        The scheduler is gone, or a worker cannot call the function.
     """
-    with _errors_told(client):
-        futures = [client.submit(function, one, pure=False) for one in of]
+    with _marked(folder) as marker, _errors_told(client):
+        submit = partial(client.submit, call_in_common, _in_common(files or {}, marker), function)
+        futures = [submit(one, pure=False) for one in of]
         for future in futures:
+            found: Found | Other
             try:
                 found = future.result()
             except KilledWorker:
                 found = killed(KILLED)
             future.release()
             yield found
+
+
+def _in_common(files: Mapping[str, str], marker: Path | None = None) -> InCommon:
+    return InCommon(tuple(package_versions().items()), tuple(files.items()), marker)
+
+
+@contextmanager
+def _marked(folder: Path | None) -> Iterator[Path | None]:
+    """A file in a folder, of a name that no other has, so that no other disk has it."""
+    if folder is None:
+        yield None
+        return
+    marker = folder / f"{MARKER}{secrets.token_hex(16)}"
+    with disk_errors(marker):
+        for left in folder.glob(f"{MARKER}*"):  # by a killed process
+            left.unlink()
+        marker.touch()
+    try:
+        yield marker
+    finally:
+        with suppress(OSError):
+            marker.unlink()
+
+
+def _require_versions(client: Client) -> None:
+    """Refuse workers of another lscan, which may not know how to see to it themselves."""
+    told = client.run(resolve_name, "lscan.version:__version__", on_error="return")
+    for address, version in told.items():
+        if version != __version__ and not isinstance(version, OSError):  # one that is gone
+            where, allowed = f"the worker at {address}", f"{__version__}, as here"
+            what = "has another version of lscan"
+            raise InputError(what, where=where, value=str(version), allowed=allowed)
 
 
 @contextmanager
@@ -239,5 +314,6 @@ def _errors_told(client: Client) -> Iterator[None]:
     except (CancelledError, CommClosedError, TimeoutError) as error:
         raise LscanError(f"the scheduler at {client.scheduler.address} is gone") from error
     except Exception as error:  # whatever it is, it was raised by no row
+        _require_versions(client)
         text = " ".join(f"{type(error).__name__}: {error}".split())
         raise LscanError(f"a worker cannot evaluate any row: {text}") from error

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lscan.config.documents import Document, by_content, named_files
 from lscan.config.scenes import included_file
 from lscan.errors import LscanError
 from lscan.files.disk import make_folder
@@ -24,7 +25,7 @@ from sim.studies.designsearch import (
     front_of,
     search,
 )
-from sim.studies.designsection import DesignSection, ordinal
+from sim.studies.designsection import DesignSection
 from sim.studies.intervals import Bounded, interval, pseudo_values
 from sim.studies.prepared import Prepared
 from sim.studies.records import DesignTrial
@@ -134,16 +135,15 @@ def told(
     reason : str, why it could not be rendered
     """
     figures, design = trial.figures, problem.design(trial.parameters)
-    objectives: dict[str, float | None] = {
+    objectives: dict[str, float | str | None] = {
         "predicted error / mm": figures.error_mm if figures else None,
         "measured width / mm": figures.width_mm if figures else None,
         "depth range / mm": figures.depth_mm if figures else None,
         "cost / €": design.cost_eur,
-        "laser class": ordinal(figures.laser_class) if figures else None,
+        "laser class": figures.laser_class if figures else None,
     }
-    parts = {**trial.parameters, **({"class": figures.laser_class} if figures else {})}
     status = trial.reason or reason or OK
-    return DesignTrial(objectives, parts, on_front, status, predicted_mm, rendered_mm)
+    return DesignTrial(objectives, trial.parameters, on_front, status, predicted_mm, rendered_mm)
 
 
 def _rendered(
@@ -184,11 +184,14 @@ def _run(running: StudyRunning) -> Run:
         return map
     from sim.studies.cluster import in_order
 
+    study = running.study
+    files = named_files(study.calibrate.document) | named_files(study.scan.document)
+
     def run(judge: Judge, of: Sequence[Parameters]) -> Iterable[Judged]:
-        return in_order(client, judge, of, lambda status: (None, status))
+        return in_order(client, judge, of, lambda status: (None, status), files=files)
 
     return run
 
 
-def _name(documents: object) -> str:
-    return hashlib.sha256(json_text(documents).encode()).hexdigest()[:16]
+def _name(documents: Iterable[Document]) -> str:
+    return hashlib.sha256(json_text(by_content(list(documents))).encode()).hexdigest()[:16]

@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lscan.config.documents import Document
+from lscan.config.documents import Document, by_content
 from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError, LscanError
 from lscan.files.jsontext import json_text, read_json, write_json
@@ -235,7 +235,7 @@ class _Kept:
         self.file, self.rows = file, dict[int, RigTrial]()
         # Of a function its name says nothing of what it does.
         error_of = problem.error_of if is_dataclass(problem.error_of) else None
-        stated = (problem.section, problem.catalogue, problem.base, error_of)
+        stated = (problem.section, problem.catalogue, by_content(problem.base), error_of)
         self.of = hashlib.sha256(json_text(stated).encode()).hexdigest()
         if file is not None and file.exists():
             self._read(file)

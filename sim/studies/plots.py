@@ -11,6 +11,7 @@ from html import escape
 from typing import Any
 
 from sim.studies.intervals import Bounded
+from sim.studies.lasersafety import CLASSES
 from sim.studies.problem import AFTER
 from sim.studies.records import (
     CauseBudget,
@@ -268,6 +269,8 @@ def front_plot(trials: Sequence[DesignTrial]) -> StudyPlot | None:
         "kind": "front",
         "names": [label(name) for name in objectives],
         "values": values,
+        # Along the axis of what is no number, the laser's class; else nothing.
+        "orders": [[one for one in CLASSES if one in column] for column in values],
         "front": [trial.on_front for trial in trials],
         "words": [_design_words(trial) for trial in trials],
     }

@@ -193,7 +193,8 @@ class DesignTrial:
 
     Attributes
     ----------
-    objectives : mapping, name with unit to figure, None where it was not looked at
+    objectives : mapping, name with unit to figure, None where it was not looked at; of a laser
+        class its name
     parts : mapping, what it is built of, and its free numbers
     on_front : bool, it keeps all limits, and no other is better in every objective
     status : str, "ok", or why it failed, which limits it breaks, or why it was not rendered
@@ -201,7 +202,7 @@ class DesignTrial:
     rendered_mm : Bounded, mm, rendered error of the same rigs
     """
 
-    objectives: Mapping[str, float | None]
+    objectives: Mapping[str, float | str | None]
     parts: Mapping[str, str | float]
     on_front: bool = True
     status: str = "ok"

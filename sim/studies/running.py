@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from lscan.config.documents import by_content
 from lscan.config.rigfile import parse_rig
 from lscan.files.disk import read_bytes, write_atomically
 from lscan.records import Floats, Progress
+from lscan.version import __version__
 from sim.scene import Scene, scene_of
 from sim.studies.geometric import GeometricRig
 from sim.studies.prepared import MOST_PREPARED_BYTES, Prepared, prepare
@@ -48,13 +50,17 @@ class RigSource:
     @property
     def document(self) -> Mapping[str, Any]:
         """All that the results of a row depend on."""
+        return {**self.stated, "prepared": hashlib.sha256(self.prepared).hexdigest()}
+
+    @property
+    def stated(self) -> dict[str, Any]:
+        """The same without what was prepared."""
         counts = ("cause", "correlation", "places")
         return {
             "tier": self.tier,
             "study": {key: self.study[key] for key in counts if key in self.study},
             "calibrate": self.calibrate,
             "scan": self.scan,
-            "prepared": hashlib.sha256(self.prepared).hexdigest(),
         }
 
     def make(self) -> GeometricRig:
@@ -155,8 +161,8 @@ def prepared_of(study: Study, file: Path, say: Callable[[str], None]) -> bytes:
     file : Path, read where it holds this
     say : callable, told what is begun
     """
-    key = hashlib.sha256(repr((study.calibrate.document, study.scan.document, study.file.places))
-                         .encode()).digest()  # fmt: skip
+    scenes = by_content([study.calibrate.document, study.scan.document])
+    key = hashlib.sha256(repr((__version__, scenes, study.file.places)).encode()).digest()
     if file.exists() and (kept := read_bytes(file, MOST_PREPARED_BYTES))[: len(key)] == key:
         return kept[len(key) :]
     say("looks at pictures of the rig as it ought to be: a minute or two, once")

@@ -31,8 +31,9 @@ class RigStates:
     ----------
     calibrate : Scene, of the board, as the instrument was calibrated
     recalibrate : Scene, of the board, in the state of the scan; None where nothing has drifted
-    frame, frame_anew : Pose, from the frame that either calibration defines to that of the head: a
-        board is put into the sheet, so that where the sheet lies decides what is measured from
+    frame, frame_anew : Pose, from the frame that either calibration defines, which is that of the
+        board where it ought to lie, to that of the head: a board is put into the sheet, so that
+        where the sheet lies decides what is measured from
     scan : Scene, of what is measured
     seeds : dict, of each noise that is at work, by its key
     """
@@ -82,13 +83,14 @@ def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigState
             before |= numbers
     board, anew = (_applied(study.calibrate, state, CALIBRATE, where) for state in (before, since))
     scan = _applied(study.scan, since, SCAN, where)
-    frame, frame_anew = (sheet_motion(study.calibrate, one) for one in (board, anew))
+    motion, motion_anew = (sheet_motion(study.calibrate, one) for one in (board, anew))
+    ought = board_in_sheet(study.calibrate)
     return RigStates(
-        calibrate=_into_sheet(board, frame),
-        recalibrate=_into_sheet(anew, frame_anew) if since != before else None,
+        calibrate=_into_sheet(board, motion),
+        recalibrate=_into_sheet(anew, motion_anew) if since != before else None,
         scan=_with_changes(scan, changes),
-        frame=frame,
-        frame_anew=frame_anew,
+        frame=motion @ ought,
+        frame_anew=motion_anew @ ought,
         seeds=seeds,
     )
 
@@ -107,17 +109,34 @@ def sheet_motion(nominal: Scene, scene: Scene) -> Pose:
     return Pose(turned, there.origin_mm - turned @ ought.origin_mm)
 
 
+def board_in_sheet(scene: Scene) -> Pose:
+    """The frame of a board to that of the head, its origin moved straight into the first sheet.
+
+    Parameters
+    ----------
+    scene : Scene, its target is the board
+    """
+    pose = _target_in_head(scene)
+    sheet = sheet_plane(scene.tank.laser, scene.tank.laser.sheets[0])
+    x, _, z = sheet.invert(pose.origin_mm)
+    return Pose(pose.rotation, sheet.apply(np.array([x, 0.0, z])))
+
+
+def _target_in_head(scene: Scene) -> Pose:
+    target = scene.tank.target
+    angles = (target.turn_deg, target.tilt_y_deg, target.tilt_x_deg)
+    return Pose(rotation("ZYX", angles), np.array(target.position_mm))
+
+
 def _into_sheet(board: Scene, motion: Pose) -> Scene:
     """The board moved as the sheet is: whoever calibrates puts it there."""
     if np.array_equal(motion.rotation, np.eye(3)) and not motion.origin_mm.any():
         return board
-    target = board.tank.target
-    angles = (target.turn_deg, target.tilt_y_deg, target.tilt_x_deg)
-    turned = motion.rotation @ rotation("ZYX", angles)
-    turn, tilt_y, tilt_x = Rotation.from_matrix(turned).as_euler("ZYX", degrees=True).tolist()
-    place = motion.apply(np.array(target.position_mm))
+    pose = motion @ _target_in_head(board)
+    angles = Rotation.from_matrix(pose.rotation).as_euler("ZYX", degrees=True)
+    turn, tilt_y, tilt_x = angles.tolist()
     moved = {
-        "position_mm": tuple(place.tolist()),
+        "position_mm": tuple(pose.origin_mm.tolist()),
         "turn_deg": turn, "tilt_y_deg": tilt_y, "tilt_x_deg": tilt_x,
     }  # fmt: skip
     return board.with_tank(target=moved)

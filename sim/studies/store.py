@@ -20,6 +20,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
+from lscan.acquisition.samerig import first_difference
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import (
     append_synced,
@@ -265,23 +266,50 @@ def _keep_manifest(file: Path, identity: StudyIdentity) -> None:
         content = {"sha256": identity.sha256, **identity.as_json()}
         write_atomically(file, f"{json.dumps(content, indent=2)}\n".encode())
         return
+    _require_same(_read_manifest(file), identity.as_json(), file.parent)
+
+
+def require_same_document(folder: Path, document: Mapping[str, Any]) -> None:
+    """Refuse a folder that has results of another study, before anything is made for this one.
+
+    Parameters
+    ----------
+    folder : Path, that may have none
+    document : mapping, as that of an identity, or some of its keys
+
+    Raises
+    ------
+    InputError
+        The folder has results of another document or version; names where they differ first.
+    """
+    if (folder / MANIFEST).exists():
+        content = _read_manifest(folder / MANIFEST)
+        kept = {key: content["document"].get(key) for key in document}
+        mine = {"document": dict(document), "version": __version__}
+        _require_same({"document": kept, "version": content["version"]}, mine, folder)
+
+
+def _read_manifest(file: Path) -> dict[str, Any]:
+    """What a manifest says, without its checksum, which is checked."""
     try:
-        content = json.loads(read_text(file, _MANIFEST_BYTES, within=file.parent))
-        digest = content.pop("sha256")
-        if digest != _sha256(content):
+        content: dict[str, Any] = json.loads(read_text(file, _MANIFEST_BYTES, within=file.parent))
+        if content.pop("sha256") != _sha256(content):
             raise InputError("was changed by hand", where=file, allowed="another folder")
     except (ValueError, KeyError, AttributeError, TypeError) as error:
         raise InputError(
             "is no manifest of a study", where=file, allowed="another folder"
         ) from error
-    if digest != identity.sha256:
-        mine = json.loads(json.dumps(identity.as_json()))
-        differing = ", ".join(sorted(name for name in mine if mine[name] != content.get(name)))
+    return content
+
+
+def _require_same(kept: Mapping[str, Any], mine: Mapping[str, Any], folder: Path) -> None:
+    differing = first_difference(kept, json.loads(json.dumps(mine)))
+    if differing is not None:
         raise InputError(
             f"holds the results of another study, which differs in its {differing}",
-            where=file.parent,
-            value=digest,
-            allowed=f"{identity.sha256}, which is this study; or another folder",
+            where=folder,
+            value=_sha256(kept),
+            allowed=f"{_sha256(mine)}, which is this study; or another folder",
         )
 
 

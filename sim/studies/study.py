@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lscan.config.documents import by_content
 from lscan.errors import InputError
 from lscan.files.disk import make_folder
 from lscan.records import Floats, Progress
@@ -29,10 +29,16 @@ from sim.studies.records import (
 )
 from sim.studies.results import write_results
 from sim.studies.runner import require_at_most
-from sim.studies.running import StudyOptions, StudyRunning, prepared_of
+from sim.studies.running import RigSource, StudyOptions, StudyRunning, prepared_of
 from sim.studies.sampling import BASE, Design, alone, make_design
 from sim.studies.states import check_keys
-from sim.studies.store import Results, ResultStore, distinct, open_store
+from sim.studies.store import (
+    Results,
+    ResultStore,
+    distinct,
+    open_store,
+    require_same_document,
+)
 from sim.studies.studyfile import Study, Tier, load_study
 from sim.studies.studyruns import joined, runs_of
 from sim.studies.tiers import (
@@ -50,9 +56,6 @@ from sim.studies.tolerances import (
     with_spreads,
 )
 from sim.studies.worker import identity_of
-
-if TYPE_CHECKING:
-    pass
 
 PREPARED, RUNS, RENDERED_RUNS, TIGHTER = "prepared.npz", "runs", "runs-rendered", "tolerances"
 COUNTED = ("height",)
@@ -111,6 +114,9 @@ def run_study(
         raise InputError(
             "holds runs of a study", where=output / RUNS, allowed="--resume, or another folder"
         )
+    documents = study.document, study.calibrate.document, study.scan.document
+    source = RigSource("rendered" if tier == "rendered" else "geometric", *documents, b"", "")
+    require_same_document(output / RUNS, by_content(source.stated))
     make_folder(output)
     packed = prepared_of(study, output / PREPARED, say)
     with ExitStack() as stack:

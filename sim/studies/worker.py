@@ -1,16 +1,103 @@
-"""What a worker does: it makes a study's problem once, and evaluates rows."""
+"""What a worker does: it makes a study's problem once, and evaluates rows.
+
+Before anything else it sees to it that it has in common with its client what it must: another
+version of a package, another mesh of the same path or another disk of the same name would change
+results in silence.
+"""
 
 import time
 import traceback
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
 
+import cv2
 import numpy as np
+import scipy
 
-from lscan.errors import LscanError
+from lscan.config.documents import by_content
+from lscan.errors import InputError, LscanError
+from lscan.files.disk import content_sha256
 from lscan.records import Floats
+from lscan.version import __version__
 from sim.studies.problem import StudyProblem, width
 from sim.studies.store import OK, Batch, Results, StudyIdentity
+
+Found = TypeVar("Found")
+
+
+@cache
+def package_versions() -> Mapping[str, str]:
+    """Version, by name, of each package that the bytes of a row or a picture depend on."""
+    found = {"lscan": __version__, "numpy": np.__version__}
+    found |= {"scipy": scipy.__version__, "opencv": cv2.__version__}
+    for name in ("mitsuba", "drjit"):
+        try:
+            found[name] = version(name)  # importing Mitsuba takes a second
+        except PackageNotFoundError:
+            found[name] = "none"
+    return found
+
+
+@dataclass(frozen=True)
+class InCommon:
+    """What a worker must have as the process has that sends it work.
+
+    Attributes
+    ----------
+    versions : tuple of (name, version), of packages
+    files : tuple of (path, SHA-256), of files that results depend on
+    marker : Path or None, a file of a name that no other has, in the folder that is written to
+    """
+
+    versions: tuple[tuple[str, str], ...]
+    files: tuple[tuple[str, str], ...] = ()
+    marker: Path | None = None
+
+
+def call_in_common(common: InCommon, function: Callable[..., Found], *arguments: Any) -> Found:
+    """What a function gives, called on a worker.
+
+    Parameters
+    ----------
+    common : InCommon
+    function : callable, of the arguments
+
+    Raises
+    ------
+    InputError
+        The worker has something else; names the worker, what, and what it is.
+    """
+    if (found := _difference(common)) is not None:
+        what, value, allowed = found
+        where = f"the worker at {_address()}"
+        raise InputError(what, where=where, value=value, allowed=allowed)
+    return function(*arguments)
+
+
+@lru_cache(maxsize=4)
+def _difference(common: InCommon) -> tuple[str, str, str] | None:
+    """What this process has not in common: what, what it has, what it is to have."""
+    here = package_versions()
+    for name, wanted in common.versions:
+        if here[name] != wanted:
+            return f"has another version of {name}", here[name], f"{wanted}, as here"
+    if common.marker is not None and not common.marker.exists():
+        folder = str(common.marker.parent)
+        return "has another folder of the same name", folder, "a folder that both see"
+    for file, wanted in common.files:
+        if content_sha256(Path(file)) != wanted:
+            return "has another file of the same name, or none", file, "the same as here"
+    return None
+
+
+def _address() -> str:
+    from distributed import get_worker
+
+    return str(get_worker().address)
 
 
 class ProblemSource(Protocol):
@@ -18,8 +105,8 @@ class ProblemSource(Protocol):
 
     Attributes
     ----------
-    document : mapping, of JSON types: all that the problem's results depend on, content of
-        files included, but not which rows are looked at
+    document : mapping, of JSON types: all that the problem's results depend on, but not which
+        rows are looked at; of files that it names, what they hold
     """
 
     @property
@@ -43,7 +130,7 @@ def identity_of(source: ProblemSource) -> StudyIdentity:
     source : ProblemSource
     """
     problem = source.make()
-    identity = StudyIdentity(source.document, problem.causes, problem.outputs)
+    identity = StudyIdentity(by_content(dict(source.document)), problem.causes, problem.outputs)
     _made.clear()
     _made[identity.sha256] = problem
     return identity

@@ -205,7 +205,8 @@ def _trial(angle: float, camera: float, laser: float, *, on_front: bool) -> Desi
         "laser": f"line {int(10 * laser)}",
         "depression / deg": 15 + 40 * angle,
     }
-    return DesignTrial(objectives | {"laser class": 2.0 + (laser > 0.5)}, parts, on_front)
+    safety = {"laser class": "3R" if laser > 0.5 else "2"}
+    return DesignTrial({**objectives, **safety}, parts, on_front)
 
 
 def strange_results() -> StudyResults:

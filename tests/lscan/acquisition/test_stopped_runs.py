@@ -1,5 +1,7 @@
 """A run that stopped: what the error says is kept, and what may be added to it."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,8 @@ from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.errors import DeviceError, InputError
+from lscan.files.longwork import long_work_shown
+from lscan.records import Progress
 
 
 def stopped_run(path: Path, frames: int) -> pytest.ExceptionInfo[DeviceError]:
@@ -45,3 +49,17 @@ def test_a_run_does_not_go_on_with_pictures_of_another_kind(tmp_path: Path) -> N
     with resume_run(path, fake_rig()) as writer:
         run = acquire_into(writer, FakeCamera(track), track)
     assert {frame.image.shape for frame in run.frames()} == {(16, 20, 3)}
+
+
+def test_the_check_of_what_was_recorded_says_how_far_it_is(tmp_path: Path) -> None:
+    """Before a run goes on, every picture is read: of a long one that takes minutes."""
+    stopped_run(tmp_path / "a", 3)
+    steps: list[tuple[str, int, int]] = []
+
+    @contextmanager
+    def shown(title: str) -> Iterator[Progress]:
+        yield lambda done, every: steps.append((title, done, every))
+
+    with long_work_shown(shown):
+        resume_run(tmp_path / "a", fake_rig()).close()
+    assert steps == [("recorded pictures checked", n, 3) for n in (1, 2, 3)]

@@ -218,5 +218,9 @@ def test_bad_parts_and_calibrations_are_refused(
     save_metric(calibration, solved)
     refused(call(capsys, "extract", small, "-c", calibration), "small.png", "640 x 480")
     refused(call(capsys, "extract", picture, "--returns", "third"), "--returns", "third", "both")
+    lower = ("--returns", "both", "--roi", f"0,{LOWER - 15:.0f},639,{LOWER + 15:.0f}")
+    told = call(capsys, "extract", picture, *lower, "-o", tmp_path / "one.csv")
+    refused(told, "--returns: both: 640 columns hold one line, and none holds two")
+    assert not list(tmp_path.glob("one*"))
     for option in ("--span", "--span-px"):
         refused(call(capsys, "extract", picture, option, 0), "span_px")

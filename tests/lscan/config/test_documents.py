@@ -10,7 +10,14 @@ from places import SCENES
 
 from lscan.camera.parameters import LIMITS
 from lscan.config.board import Grid, load_board
-from lscan.config.documents import MOST_FILES, check, merge, read_document
+from lscan.config.documents import (
+    MOST_FILES,
+    by_content,
+    check,
+    merge,
+    named_files,
+    read_document,
+)
 from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection
 from lscan.config.rigfile import load_rig
 from lscan.config.targets import GroovedBlock, Sandwave
@@ -317,6 +324,30 @@ def test_the_fit_of_a_view_may_go_wherever_a_rig_file_may_begin() -> None:
     for name, (low, high) in LIMITS.items():
         for value in (low, min(high, 1e4)):
             check(OpticsSection, {name: [value, 0.0]}, where="rig.toml")
+
+
+def test_a_document_by_content_knows_files_by_what_they_hold(tmp_path: Path) -> None:
+    """Also a board's file by those that it includes, and a folder by its own files."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    held = {"mesh.stl": "a", "base.toml": "a = 1", "board.toml": 'include = "base.toml"\n'}
+    held |= {"run/frames.csv": "0"}
+
+    def found() -> object:
+        for name, text in held.items():
+            (tmp_path / name).write_text(text, encoding="utf-8")
+        files = [{"file": str(tmp_path / name)} for name in ("mesh.stl", "board.toml")]
+        options = {"run_file": str(folder), "port": str(tmp_path / "mesh.stl")}
+        document = {"target": files, "camera": {"options": options}}
+        assert list(named_files(document)) == [*(one["file"] for one in files), str(folder)]
+        return by_content(document)
+
+    before = found()
+    assert str(tmp_path / "mesh.stl") in str(before)  # a port, whatever lies there
+    for name in ("mesh.stl", "base.toml", "run/frames.csv"):
+        again, held[name] = found(), f"{held[name]}1"
+        assert found() != again, name
+    assert named_files({"file": str(tmp_path / "gone")}) == {str(tmp_path / "gone"): ""}
 
 
 def test_other_faults_are_named_by_their_keys() -> None:

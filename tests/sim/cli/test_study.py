@@ -3,12 +3,14 @@
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import xarray as xr
 from places import SCENES
 from study_cases import known_of
+from study_examples import study_results
 from typer.testing import CliRunner
 
 import sim.studies.running
@@ -116,6 +118,29 @@ def test_a_study_that_ships_is_one(name: str) -> None:
     if study.file.design:
         space = study.file.design.space(load_catalogue())
         assert len(space["sight"]) >= 20 and len(space["laser"]) > 1  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("drifts", [True, False])
+def test_results_with_and_without_recalibration_are_printed(
+    monkeypatch: pytest.MonkeyPatch, drifts: bool
+) -> None:
+    """The table of every cause; the laser's class by its name; a cost of four digits in full."""
+    results = study_results()[0]
+    if not drifts:
+        outputs = tuple(replace(budget, after=None) for budget in results.outputs)
+        results = replace(results, outputs=outputs)
+    objectives = {"error / mm": 0.1, "cost / €": 1234.0, "laser class": "3R"}
+    trial = replace(results.trials[0], objectives=objectives, on_front=True)
+    results = replace(results, trials=(trial,))
+    monkeypatch.setattr("sim.studies.study.run_study", lambda *_, **__: results)
+    monkeypatch.setenv("COLUMNS", "300")
+    found = CliRunner().invoke(app, ["study", "any.toml"])
+    assert found.exit_code == 0, found.exception
+    for cause in ("tilt", "salinity", "speckle"):
+        assert cause in found.stdout
+    assert ("alone, recalibrated" in found.stdout) == drifts
+    row = next(line for line in found.stdout.splitlines() if "1234" in line)
+    assert " 3R " in row and " 0.1 " in row
 
 
 @pytest.mark.slow

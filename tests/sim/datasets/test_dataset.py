@@ -2,10 +2,12 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from places import ROOT
 from truth_scenes import BASE, tank
 from typer.testing import CliRunner
@@ -20,13 +23,13 @@ from typer.testing import CliRunner
 from lscan.config.documents import merge
 from lscan.config.toml import write_toml
 from lscan.errors import InputError
-from lscan.files.datasets import MOST_PICTURES, PictureDataset
+from lscan.files.datasets import MEMBERS, MOST_PICTURES, PictureDataset
 from lscan.files.runlengths import run_lengths
 from lscan.records import Status
 from sim.cli.app import app
-from sim.datasets import dataset as making
+from sim.datasets import dataset as making, datasetshards
 from sim.datasets.dataset import make_dataset
-from sim.datasets.datasetshards import Format
+from sim.datasets.datasetshards import Format, ShardTask, packed_shard
 from sim.datasets.datasetspec import load_dataset_spec
 from sim.datasets.labels import Label
 from sim.render.surfaces import surfaces_seen
@@ -179,6 +182,60 @@ def test_a_killed_data_set_goes_on_with_the_same_bytes(tmp_path: Path, alone: Pa
     assert content(tmp_path / "set") == content(alone)
 
 
+@pytest.mark.parametrize("form", ["webdataset", "hdf5", "folders"])
+def test_what_ends_a_shard_costs_the_picture_under_way_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: Format
+) -> None:
+    """Of 4 pictures of one tank the second fails, and the third is ended; then it goes on."""
+    spec = load_dataset_spec(spec_file(tmp_path, tank_pictures=4))
+    shown: list[str] = []
+
+    def pictures(ended: int | None) -> None:
+        def picture(tank: object, scene: object, drawn: object) -> dict[str, bytes]:
+            shown.append(str(len(shown)))
+            if len(shown) == 2:
+                raise InputError("no such picture")
+            if len(shown) == ended:
+                raise KeyboardInterrupt
+            return {name: f"{name} {drawn}".encode() for name in MEMBERS}
+
+        shown.clear()
+        monkeypatch.setattr(datasetshards, "picture_files", picture)
+
+    pictures(None)
+    whole = make_dataset(spec, tmp_path / "whole", 4, form=form, workers="none")
+    assert whole["failed"] == {"000000001": "no such picture"}
+    pictures(3)
+    with pytest.raises(KeyboardInterrupt):
+        make_dataset(spec, tmp_path / "set", 4, form=form, workers="none")
+    shutil.copytree(tmp_path / "set", tmp_path / "killed")
+    make_dataset(spec, tmp_path / "set", 4, form=form, workers="none", resume=True)
+    assert len(shown) == 3 + 2
+    assert content(tmp_path / "set") == content(tmp_path / "whole")
+    # Where it killed its workers time and again, what they had made is kept.
+    record = packed_shard(ShardTask(spec, tmp_path / "killed", form, 0, 0, 4), "killed its worker")
+    assert record.keys == ("000000000",)
+    assert list(record.failed.values()) == ["no such picture", *["killed its worker"] * 2]
+
+
+@pytest.mark.parametrize("form", ["webdataset", "hdf5", "folders"])
+def test_memory_holds_a_picture_at_a_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: Format
+) -> None:
+    """Of 12 pictures of 4 MB: three copies at most, of one and its archive, and of the next."""
+    size = 1 << 20
+    monkeypatch.setattr(
+        datasetshards, "picture_files", lambda *_: dict.fromkeys(MEMBERS, b"1" * size)
+    )
+    spec = load_dataset_spec(spec_file(tmp_path, tank_pictures=12))
+    make_dataset(spec, tmp_path / "first", 1, form=form, workers="none")  # what is made once
+    tracemalloc.start()
+    make_dataset(spec, tmp_path / "set", 12, form=form, workers="none")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 3.5 * len(MEMBERS) * size
+
+
 def test_a_scene_that_fails_is_a_row_of_the_manifest(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -246,6 +303,27 @@ def test_more_pictures_than_can_be_read_again_are_not_begun(tmp_path: Path) -> N
     with pytest.raises(InputError, match="too many pictures"):
         make_dataset(spec, tmp_path / "set", MOST_PICTURES + 1)
     assert not (tmp_path / "set").exists()
+
+
+def test_another_mesh_of_the_same_name_is_another_data_set(tmp_path: Path) -> None:
+    """Wherever the mesh lies: what it holds counts."""
+    file = spec_file(tmp_path)
+    scene = merge(BASE, {**SMALL, "target": {"shape": "mesh", "file": "mesh.stl"}})
+    write_toml(tmp_path / "scene.toml", scene)
+    box = trimesh.creation.box((60.0, 60.0, 20.0))
+    box.export(tmp_path / "mesh.stl")
+    make_dataset(load_dataset_spec(file), tmp_path / "set", 1, workers="none")
+    kept = json.loads((tmp_path / "set" / "identity.json").read_text(encoding="utf-8"))
+    assert list(kept["files_sha256"]) == ["mesh.stl"]
+    (tmp_path / "moved").mkdir()
+    for name in ("spec.toml", "scene.toml", "mesh.stl"):
+        (tmp_path / "moved" / name).write_bytes((tmp_path / name).read_bytes())
+    moved = load_dataset_spec(tmp_path / "moved" / "spec.toml")
+    make_dataset(moved, tmp_path / "set", 1, workers="none", resume=True)
+    trimesh.creation.box((60.0, 60.0, 40.0)).export(tmp_path / "mesh.stl")
+    changed = load_dataset_spec(file)
+    with pytest.raises(InputError, match=r"another data set, which differs in files_sha256\.mesh"):
+        make_dataset(changed, tmp_path / "set", 1, workers="none", resume=True)
 
 
 def test_a_bit_that_flipped_is_noticed(tmp_path: Path, alone: Path) -> None:

@@ -8,19 +8,23 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from places import SCENES
-from truth_scenes import BOARD, tank
+from truth_scenes import BASE, BOARD, tank
 from typer.testing import CliRunner
 
 from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import scan
 from lscan.acquisition.writer import create_run
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.documents import merge, named_files
+from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.toml import write_toml
 from lscan.errors import InputError
 from lscan.records import Status
 from sim.cli.app import app
-from sim.datasets.files import TruthTable, taken_at, write_render, write_truth
+from sim.datasets.files import TruthTable, taken_at, taken_in, write_render, write_truth
 from sim.datasets.labels import Label, colour_labels, label_scene
+from sim.devices import TankCamera
 from sim.render.layers import Layers
 from sim.scene import Scene, load_scene, scene_of
 from sim.truth import board_truth, line_brightness, stripe_truth
@@ -204,6 +208,60 @@ def test_a_run_folder_has_the_truth_of_each_of_its_frames(tmp_path: Path) -> Non
         assert {entry["position_mm"] for entry in part} == {repr(row.position_mm)}
         np.testing.assert_array_equal(column(part, "centre_px"), truth.centre_px)
         np.testing.assert_array_equal(column(part, "height_dn"), light.height_dn)
+
+
+def scan_of_files(folder: Path) -> RigFile:
+    """A scan of two pictures of a mesh with a texture over it."""
+    trimesh.creation.box((60.0, 60.0, 20.0)).export(folder / "mesh.stl")
+    cv2.imwrite(str(folder / "paint.png"), np.full((4, 4), 200, np.uint8))
+    texture = {"file": "paint.png", "corner_mm": [-30.0, -30.0], "size_mm": [60.0, 60.0]}
+    target = {"shape": "mesh", "file": "mesh.stl", "texture": texture}
+    camera = {**BASE["camera"], "width_px": 64, "height_px": 48}
+    lens = {"focal_px": 85.0, "centre_px": [31.5, 23.5]}
+    over = {"camera": camera, "lens": lens, "target": target, "plan": {"frames": 2, "step_mm": 1.0}}
+    render = {"samples": 1, "scatter_samples": 0}
+    write_toml(folder / "scene.toml", merge(BASE, {**over, "render": render}))
+    return load_rig(folder / "scene.toml")
+
+
+@pytest.mark.parametrize("name", ["mesh.stl", "paint.png"])
+def test_a_run_knows_its_files_by_what_they_held(tmp_path: Path, name: str) -> None:
+    """Another mesh or texture of the same name neither goes on with the run nor judges it."""
+    rig_file = scan_of_files(tmp_path)
+
+    def stop(done: int, planned: int) -> None:
+        if done == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        scan(rig_file, tmp_path / "run", progress=stop)
+    run = open_run(tmp_path / "run")
+    assert set(run.files) == {str(tmp_path / "mesh.stl"), str(tmp_path / "paint.png")}
+    before = (tmp_path / name).read_bytes()
+    trimesh.creation.box((60.0, 60.0, 40.0)).export(tmp_path / "mesh.stl")
+    if name == "paint.png":
+        scan_of_files(tmp_path)
+        cv2.imwrite(str(tmp_path / "paint.png"), np.full((4, 4), 20, np.uint8))
+    told = f"{tmp_path / name}: was changed since {tmp_path / 'run'} was made with it"
+    with pytest.raises(InputError, match=told):
+        scan(rig_file, tmp_path / "run", resume=True)
+    with pytest.raises(InputError, match=told):
+        taken_in(run)
+    (tmp_path / name).unlink()
+    with pytest.raises(InputError, match=f"{name}: is gone since"):
+        taken_in(run)
+    (tmp_path / name).write_bytes(before)
+    whole = scan(rig_file, tmp_path / "run", resume=True)
+    assert len(whole) == 2 and len(taken_in(whole)[1]) == 2
+
+
+def test_a_process_that_helps_with_a_scan_later_does_not_load_another_mesh(tmp_path: Path) -> None:
+    scene = scene_of(scan_of_files(tmp_path))
+    files = named_files(scene.document)
+    TankCamera(scene, files)
+    (tmp_path / "mesh.stl").write_bytes(b"solid")
+    with pytest.raises(InputError, match=r"mesh\.stl: was changed since"):
+        TankCamera(scene, files)
 
 
 def test_runs_without_truth_are_refused(tmp_path: Path) -> None:

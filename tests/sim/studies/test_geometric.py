@@ -7,17 +7,18 @@ import pytest
 from study_cases import known_of, study_with
 
 from lscan.calibration.api import find_solver
-from lscan.config.documents import Document
+from lscan.config.documents import Document, merge
+from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
-from sim.scene import into_head
+from sim.scene import into_head, scene_of
 from sim.studies.errors import ErrorFrame
 from sim.studies.geometric import GeometricRig
 from sim.studies.places import WAVE
 from sim.studies.problem import NOMINAL, columns
 from sim.studies.states import check_keys, states_of
 from sim.truth import project
-from sim.validation.study.twelve import SENSOR_PX, SPECKLE_PX
+from sim.validation.study.twelve import SENSOR_PX, SPECKLE_PX, assumed
 
 BASE_MM = 1e-3
 """What is left with nothing at work: the screen of outliers and the search of the map stop at
@@ -41,6 +42,31 @@ def test_with_nothing_at_work_nothing_is_off() -> None:
         study_with({"one": {"key": "lens.focal_px", "when": "drift", "fixed": 851.0}}), known_of()
     )
     assert np.abs(rig.evaluate(np.full(len(rig.causes), NOMINAL))).max() < BASE_MM
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        {"position_mm": [0.0, 0.0, 92.0]},
+        {"position_mm": [-25.0, 0.0, 10.0], "tilt_y_deg": 3.0},
+    ],
+    ids=["above", "beside and turned"],
+)
+def test_where_the_board_lies_in_the_sheet_does_not_matter(target: Document) -> None:
+    """A board elsewhere in the sheet defines another frame to measure from, and no error.
+
+    One that a cause lays 1 mm higher than it is taken to lie measures all 1 mm too low.
+    """
+    off = {"key": "calibrate.target.position_mm.2", "when": "as-built", "fixed": 1.0, "off": True}
+    study = study_with({"one": off})
+    document = merge(study.calibrate.document, {"target": target})
+    board = scene_of(parse_rig(document, source="board.toml", trusted=True))
+    study = replace(study, calibrate=board)
+    rig = GeometricRig(study, assumed(study, known_of().places))
+    height = columns(rig.outputs)["height"]
+    assert np.abs(rig.evaluate(np.array([NOMINAL]))[height]).max() < BASE_MM
+    level = rig.prepared.places.kind != WAVE
+    np.testing.assert_allclose(rig.evaluate(np.array([0.5]))[height][level], -1.0, atol=BASE_MM)
 
 
 def test_a_board_behind_the_sheet_lifts_the_line_by_its_depression() -> None:

@@ -1,26 +1,32 @@
 """Rows evaluated anywhere: the same bytes, nothing twice, failures told, whatever is killed."""
 
+import asyncio
 import logging
 import os
 import signal
 import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster, Security
+from distributed.core import connect
 
 from lscan.errors import InputError, LscanError
 from lscan.records import Floats
 from sim.studies.batches import TARGET_S, Batches
-from sim.studies.cluster import KILLED, open_client
+from sim.studies.cluster import KILLED, in_order, open_client
 from sim.studies.runner import cost_estimate, run_rows
+from sim.studies.running import prepared_of
 from sim.studies.store import OK, Results, ResultStore, distinct, open_store
-from sim.studies.worker import identity_of
+from sim.studies.worker import identity_of, package_versions
 from sim.validation.study.running import (
     ROWS,
     evaluated,
@@ -44,6 +50,18 @@ def two_workers() -> Iterator[Client]:
 def source(tmp_path: Path) -> StubSource:
     """A stub that keeps a log, and fails in 5 % of the rows."""
     return StubSource(failing=FAILING, log=str(tmp_path / "log"))
+
+
+@pytest.fixture(scope="module")
+def in_threads() -> Iterator[Client]:
+    """A cluster as another's is: reached by its address, though it is in this process."""
+    with (
+        LocalCluster(
+            n_workers=1, processes=False, protocol="tcp", dashboard_address="127.0.0.1:0"
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
 
 
 def opened(source: StubSource, folder: Path) -> ResultStore:
@@ -135,6 +153,47 @@ def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers:
     alone = in_one_process(StubSource(), np.delete(rows, 5, axis=0), tmp_path)
     assert np.delete(found.values, 5, axis=0).tobytes() == alone.values.tobytes()
     assert np.isnan(found.values[5]).all()
+
+
+def test_a_study_knows_its_files_by_what_they_hold(tmp_path: Path) -> None:
+    """Rows of another mesh of the same name are another study's, whatever else is the same."""
+
+    class MeshSource:
+        document: Mapping[str, object] = MappingProxyType(
+            {"scan": {"target": {"file": str(tmp_path / "mesh.stl")}}}
+        )
+        make = StubSource().make
+
+    (tmp_path / "mesh.stl").write_bytes(b"one")
+    with open_store(tmp_path / "store", identity_of(MeshSource())):
+        pass
+    (tmp_path / "mesh.stl").write_bytes(b"another")
+    with pytest.raises(InputError, match=r"differs in its document\.scan\.target\.file"):
+        open_store(tmp_path / "store", identity_of(MeshSource()))
+
+
+def test_what_was_prepared_is_kept_for_the_same_files_and_version_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[bytes] = []
+
+    def prepared(study: object) -> SimpleNamespace:
+        made.append(f"{len(made)}".encode())
+        return SimpleNamespace(packed=lambda: made[-1])
+
+    monkeypatch.setattr("sim.studies.running.prepare", prepared)
+    scene = SimpleNamespace(document={"target": {"file": str(tmp_path / "mesh.stl")}})
+    study: Any = SimpleNamespace(calibrate=scene, scan=scene, file=SimpleNamespace(places=()))
+
+    def found() -> bytes:
+        return prepared_of(study, tmp_path / "prepared.npz", lambda _: None)
+
+    (tmp_path / "mesh.stl").write_bytes(b"one")
+    assert [found(), found()] == [b"0", b"0"]
+    (tmp_path / "mesh.stl").write_bytes(b"another")
+    assert [found(), found()] == [b"1", b"1"]
+    monkeypatch.setattr("sim.studies.running.__version__", "99.0")
+    assert found() == b"2"
 
 
 def test_a_design_that_is_larger_than_agreed_is_refused(source: StubSource, tmp_path: Path) -> None:
@@ -248,6 +307,99 @@ def test_another_scheduler_works_and_its_end_is_told(tmp_path: Path) -> None:
             ):
                 run_rows(slow, stub_rows(500), store, client, progress=end_at_20)
     assert "go on with --resume" in caught.value.__notes__[0]
+
+
+def test_the_workers_of_a_study_answer_nobody_else(two_workers: Client) -> None:
+    """Whoever is answered can have any code run: neither plain TCP is, nor any other key."""
+    workers = two_workers.scheduler_info()["workers"]
+    nannies = [worker["nanny"] for worker in workers.values()]
+    stranger = Security.temporary().get_connection_args("client")
+
+    async def ask(address: str, **how: object) -> None:
+        comm = await connect(address, timeout=2, **how)
+        await comm.write({"op": "identity", "reply": True})
+        await comm.read()
+
+    own = two_workers.security.get_connection_args("client")
+    for address in (two_workers.scheduler.address, *workers, *nannies):
+        asyncio.run(ask(address, **own))
+        with pytest.raises(OSError):
+            asyncio.run(ask(address, **stranger))
+        with pytest.raises(OSError):
+            asyncio.run(ask(address.replace("tls://", "tcp://")))
+    port = two_workers.scheduler_info()["services"]["dashboard"]
+    for page in ("health", "info/main/workers.html", "metrics"):
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=5)
+
+
+@pytest.mark.parametrize("name", ["lscan", "mitsuba", "drjit", "opencv", "numpy", "scipy"])
+def test_a_worker_of_another_version_is_refused_before_its_first_row(
+    source: StubSource,
+    tmp_path: Path,
+    in_threads: Client,
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+) -> None:
+    newer = {**package_versions(), name: "99.0"}
+    monkeypatch.setattr("sim.studies.cluster.package_versions", lambda: newer)
+    (address,) = in_threads.nthreads()
+    told = f"the worker at {address}: has another version of {name} .got .*; allowed: 99.0, as here"
+    with opened(source, tmp_path) as store, pytest.raises(InputError, match=told):
+        run_rows(source, stub_rows(20), store, in_threads)
+    assert evaluated(source) == []
+
+
+def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
+    in_threads: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.studies.cluster.__version__", "99.0")
+    told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
+    with (
+        pytest.raises(InputError, match=told),
+        open_client(scheduler=in_threads.scheduler.address),
+    ):
+        pass
+
+
+class OnAnotherDisk(list[Path]):
+    """What is done, by workers that see another folder at a path, as if it were another disk."""
+
+    def __iter__(self) -> Iterator[Path]:
+        link = self[0]
+        link.unlink()
+        link.symlink_to(link.with_name("theirs"))
+        return super().__iter__()
+
+
+def test_a_worker_with_another_disk_of_the_same_name_is_refused(
+    tmp_path: Path, in_threads: Client
+) -> None:
+    for name in ("ours", "theirs"):
+        (tmp_path / name).mkdir()
+    folder = tmp_path / "shared"
+    folder.symlink_to(tmp_path / "ours")
+    assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
+    told = f"the worker at .* has another folder of the same name .got '{folder}'"
+    with pytest.raises(InputError, match=told):
+        list(in_order(in_threads, Path.touch, OnAnotherDisk([folder]), str, folder=folder))
+    assert list((tmp_path / "theirs").iterdir()) == []
+    folder.unlink()
+    folder.symlink_to(tmp_path / "ours")
+    assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
+    assert list(folder.iterdir()) == []  # nor is the marker of the refused call left
+
+
+def test_a_worker_with_another_file_of_the_same_name_is_refused(
+    tmp_path: Path, in_threads: Client
+) -> None:
+    mesh = tmp_path / "mesh.stl"
+    for content, told in ((b"theirs", "has another file"), (None, "or none")):
+        mesh.unlink(missing_ok=True)
+        if content is not None:
+            mesh.write_bytes(content)
+        with pytest.raises(InputError, match=f"the worker at .*{told}.*mesh.stl"):
+            list(in_order(in_threads, str, [1], str, files={str(mesh): "0" * 64}))
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

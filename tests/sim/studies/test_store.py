@@ -1,5 +1,6 @@
 """The results of a study in a folder: found by their rows, whole after a kill, of one study."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -12,7 +13,16 @@ import pytest
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.studies.problem import Output
-from sim.studies.store import MANIFEST, OK, RECORDS, Batch, Results, StudyIdentity, open_store
+from sim.studies.store import (
+    MANIFEST,
+    OK,
+    RECORDS,
+    Batch,
+    Results,
+    StudyIdentity,
+    open_store,
+    require_same_document,
+)
 
 STUDY = StudyIdentity({"scene": "a.toml", "cause": {"x": 1}}, ("a", "b"), (Output("z", "mm", 3),))
 NAN = np.nan
@@ -111,6 +121,14 @@ def test_another_study_is_refused_and_both_are_named(
     open_store(tmp_path, STUDY).close()  # whose lock was let go
 
 
+def test_a_study_of_another_document_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    require_same_document(tmp_path, {"scene": "b.toml"})  # nothing is there yet
+    open_store(tmp_path, STUDY).close()
+    require_same_document(tmp_path, {"scene": "a.toml"})
+    with pytest.raises(InputError, match=r"another study, which differs in its document\.scene"):
+        require_same_document(tmp_path, {"scene": "b.toml"})
+
+
 def test_the_order_of_the_documents_keys_makes_no_other_study(tmp_path: Path) -> None:
     open_store(tmp_path, STUDY).close()
     turned = replace(STUDY, document=dict(reversed(STUDY.document.items())))
@@ -139,6 +157,23 @@ def test_a_second_process_is_refused(tmp_path: Path) -> None:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         )
     assert done.stdout == f"{tmp_path}: is being written by another study\n", done.stderr
+
+
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP])
+def test_a_file_system_without_locks_is_told_from_another_writer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    """Lustre without its flock option says ENOSYS, NFS without its lock service ENOLCK."""
+
+    def no_lock(descriptor: int, how: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("fcntl.flock", no_lock)
+    with pytest.raises(InputError) as refused:
+        open_store(tmp_path, STUDY)
+    told = f"{tmp_path}: cannot be locked against another study: {os.strerror(number)}"
+    assert str(refused.value).startswith(told)
+    assert "a file system with flock" in str(refused.value)
 
 
 def test_a_disk_that_is_full_leaves_what_was_kept(

@@ -153,6 +153,22 @@ def test_a_front_of_one_objective_is_a_table_alone() -> None:
     assert plot is not None and list(plot.menus) == ["x axis", "y axis"]
 
 
+def test_a_laser_class_has_its_name_on_the_page() -> None:
+    """A number in its place, such as 2 for 3R, would say that the laser is safer than it is."""
+    results = study_results()[0]
+    classes = ["3B", "1", "3R", "2", "4"]
+    trials = tuple(
+        replace(trial, objectives={"cost / €": 1.0, "laser class": name}, parts={})
+        for trial, name in zip(results.trials[:5], classes, strict=True)
+    )
+    plot = front_plot(trials)
+    assert plot is not None and plot.data["values"][1] == classes
+    assert plot.data["orders"] == [[], ["1", "2", "3R", "3B", "4"]]
+    front = tuple(replace(trial, on_front=True) for trial in trials)
+    page = render_page(_bare(results, trials=front))
+    assert all(f"<td>{name}</td>" in page for name in classes)
+
+
 def test_a_study_of_nothing_has_a_page() -> None:
     assert ParsedPage(render_page(_bare(study_results()[0]))).open == []
 
@@ -180,7 +196,9 @@ def test_every_plot_is_drawn_and_its_menus_work(chromium: Chromium, page: Page) 
     menus.nth(1).select_option("mean error, after recalibration")
     menus.nth(4).select_option("laser class")
     depth = page.evaluate("document.querySelector('.wide .plot').data[0].z")
-    assert set(depth) <= {2, 3}
+    assert set(depth) == {"2", "3R"}
+    axis = page.evaluate("document.querySelector('.wide .plot')._fullLayout.scene.zaxis")
+    assert (axis["type"], axis["categoryarray"]) == ("category", ["2", "3R"])
     page.evaluate(
         "document.querySelector('.wide .plot').emit('plotly_click', {points: [{customdata: 5}]})"
     )
