@@ -7,6 +7,7 @@ import { Refused, ask, sleep } from "./server.js";
 
 const PERIOD_MS = 500;
 const ANSWER_MS = 5000; // a server that takes longer to answer counts as lost
+const MAY_BE_LIT = "Laser: it may still be lit: switch it off at its supply.";
 const REOPENS = " – Go, Start and Resume open it again by themselves.";
 
 let state = null;
@@ -26,9 +27,10 @@ function showLive(live) {
   write($("since"), live ? "" : when);
 }
 
-/** No answer: nothing can be asked for, and the picture is an old one. */
+/** No answer: nothing can be asked for, the picture is an old one, and the laser as it was. */
 function lost(error) {
   disconnected(error);
+  if (state?.laser === "on") complain("laser", MAY_BE_LIT);
   disableButtons();
   showLive(false);
 }
@@ -51,6 +53,7 @@ function showState(answer) {
   write($("task"), [task.name, task.message].filter(Boolean).join(": "));
   showScan(state);
   showButtons(state);
+  complain("laser", state.laser_warning && MAY_BE_LIT);
   complain("camera", camera.error && `Camera: ${camera.error}`);
   complain("track", track.error && `Track: ${track.error}${REOPENS}`);
   const { scan } = state;

@@ -228,8 +228,8 @@ def test_a_scan_by_the_buttons(fresh: Page) -> None:
 def test_the_state_is_as_agreed(page: Page) -> None:
     state = page.http.get("/api/state").json()
     assert set(state) == {
-        "rig", "source", "camera", "track", "can_switch_laser", "laser", "calibration",
-        "board", "mode", "plan", "scan", "task",
+        "rig", "source", "camera", "track", "can_switch_laser", "laser", "laser_warning",
+        "calibration", "board", "mode", "plan", "scan", "task",
     }  # fmt: skip
     assert state["rig"] == "Prüfstand"
     camera = state["camera"]
@@ -464,6 +464,7 @@ def test_a_signal_ends_the_scan_after_its_frame(tmp_path: Path, number: int) -> 
     assert (process.returncode, err) == (0, "")
     folder = output / "scan-001"
     assert out.splitlines() == [
+        "every user of this machine can move the track; --token keeps others out",
         "track closed",
         f"stopped; go on with: lscan scan rig.toml -o {folder} --resume",
     ]
