@@ -13,7 +13,7 @@ def _known(*names: str) -> tuple[int, ...]:
 
 STOPPING = _known(
     *("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"),  # Ctrl-C, kill, the terminal goes, Ctrl-\
-    *("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGPWR", "SIGBREAK"),  # batch systems, limits, a UPS
+    *("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGPWR"),  # batch systems, limits, a UPS
 )
 """What others send to end a program, as far as it can be handled.  SIGKILL cannot."""
 

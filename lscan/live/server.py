@@ -23,10 +23,11 @@ from starlette.types import ASGIApp
 from lscan.config.documents import Strict, check
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.access import Access
-from lscan.live.admission import AccessMiddleware
+from lscan.live.admission import REQUEST_S, AccessMiddleware, BrowserConnection
 from lscan.live.files import page_files
 from lscan.live.session import Session
 
+BACKLOG = 64  # connections that wait to be taken, and so are taken at once
 LONGEST_WAIT_S = 5.0
 LONGEST_BODY = 10_000  # bytes; a command takes some fifty
 
@@ -155,11 +156,12 @@ async def _document(request: Request) -> dict[str, Any]:
     """The JSON object in the body, {} for none; InputError for anything else."""
     body = b""
     try:
-        async for part in request.stream():
-            body += part
-            if len(body) > LONGEST_BODY:
-                raise InputError("is too long", where="body", allowed=f"{LONGEST_BODY} bytes")
-    except ClientDisconnect as error:
+        async with asyncio.timeout(REQUEST_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > LONGEST_BODY:
+                    raise InputError("is too long", where="body", allowed=f"{LONGEST_BODY} bytes")
+    except (ClientDisconnect, TimeoutError) as error:
         raise InputError("was cut short", where="body") from error
     try:
         document = json.loads(body or b"{}")
@@ -247,6 +249,8 @@ def make_server(session: Session, access: Access) -> LiveServer:
         log_level="critical",
         access_log=False,
         lifespan="on",
+        http=BrowserConnection,
+        backlog=BACKLOG,
         ws="none",
         server_header=False,
         timeout_graceful_shutdown=2,
