@@ -119,7 +119,7 @@ def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
 
 
 def _close(device: Camera | Track) -> None:
-    with stop_signals_held():
+    with stop_signals_held(), no_suspending():
         device.close()
 
 
