@@ -208,7 +208,12 @@ class Paced(Protocol):
 
 
 def longest_grab_s(camera: Camera) -> float:
-    """What a camera states, or LONGEST_GRAB_S; s."""
+    """How long a grab takes at most while nothing is amiss, s.
+
+    Parameters
+    ----------
+    camera : Camera, what it states holds, LONGEST_GRAB_S else
+    """
     return camera.longest_grab_s if isinstance(camera, Paced) else LONGEST_GRAB_S
 
 

@@ -93,6 +93,7 @@ class LiveDevices:
         """Show a scan's picture; one that is not sound the acquisition itself refuses."""
         with contextlib.suppress(LscanError):
             self._require_sound(grab)
+            self.camera_error = ""  # of a look before the scan: none is taken meanwhile
             self._show(grab)
 
     def _reopen_camera(self) -> None:

@@ -154,6 +154,7 @@ class Session:
         """
         with self._exclusive():
             self.scanning.start(name)
+            self._task_message = ""  # of a board picture before it
 
     def resume_scan(self) -> None:
         """Go on with a scan.
@@ -162,6 +163,7 @@ class Session:
         """
         with self._exclusive():
             self.scanning.resume()
+            self._task_message = ""
 
     def move_to(self, position_mm: float) -> None:
         """Move the head.

@@ -6,6 +6,7 @@ import { disableButtons, showButtons, showScan } from "./scan.js";
 import { Refused, ask, sleep } from "./server.js";
 
 const PERIOD_MS = 500;
+const REFUSED_MS = 10000; // for so long it is said why a command was refused
 const ANSWER_MS = 5000; // a server that takes longer to answer counts as lost
 const MAY_BE_LIT = "Laser: it may still be lit: switch it off at its supply.";
 const REOPENS = " – Go, Start and Resume open it again by themselves.";
@@ -13,6 +14,7 @@ const REOPENS = " – Go, Start and Resume open it again by themselves.";
 let state = null;
 let seenAt = null; // Date when the camera gave its last picture
 let queue = Promise.resolve(); // commands one after the other, each from the state the last left
+let refusedAt = 0; // when the last command was refused, ms
 let obeyed = 0; // commands answered so far
 
 /** What the server last said; null before its first answer. */
@@ -53,6 +55,7 @@ function showState(answer) {
   write($("task"), [task.name, task.message].filter(Boolean).join(": "));
   showScan(state);
   showButtons(state);
+  if (Date.now() > refusedAt + REFUSED_MS) complain("command", "");
   complain("laser", state.laser_warning && MAY_BE_LIT);
   complain("camera", camera.error && `Camera: ${camera.error}`);
   complain("track", track.error && `Track: ${track.error}${REOPENS}`);
@@ -70,8 +73,10 @@ export function command(path, body = () => ({})) {
       showState(await answer.json());
       obeyed += 1;
     } catch (error) {
-      if (error instanceof Refused) complain("command", error.message, error.byDevice);
-      else lost(error);
+      if (error instanceof Refused) {
+        complain("command", error.message, error.byDevice);
+        refusedAt = Date.now();
+      } else lost(error);
     }
   });
 }
