@@ -22,7 +22,7 @@ from lscan.acquisition.scan import scan
 from lscan.config.rigfile import RigFile
 from lscan.devices.api import LASER_MAY_BE_LIT, Grab
 from lscan.devices.grbl import SerialTrackOptions, open_track
-from lscan.devices.signals import STOPPING
+from lscan.devices.signals import STOPPING, interrupted_by_signals, stop_signals_held
 from lscan.errors import DeviceError, DiskError
 from lscan.live.server import LiveServer
 from lscan.live.session import Session
@@ -374,6 +374,27 @@ def test_a_scan_of_the_live_page_leaves_the_laser_off_or_says_so(
 
 
 # ---- signals ----------------------------------------------------------------------------
+
+
+def test_one_interruption_at_a_time_and_another_once_it_is_gone() -> None:
+    came = 0
+    with interrupted_by_signals():
+        for _ in range(2):
+            try:
+                signal.raise_signal(signal.SIGTERM)
+            except KeyboardInterrupt:
+                signal.raise_signal(signal.SIGHUP)  # while the first is being dealt with
+                came += 1
+    assert came == 2
+
+
+def test_a_signal_that_is_held_acts_once_and_at_the_end() -> None:
+    done = False
+    with interrupted_by_signals(), pytest.raises(KeyboardInterrupt), stop_signals_held():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        done = True
+    assert done
 
 
 def test_a_hangup_that_nohup_ignores_stays_ignored(commands: Command) -> None:

@@ -453,6 +453,7 @@ def test_a_signal_ends_the_scan_after_its_frame(tmp_path: Path, number: int) -> 
     ) as process:
         assert process.stdout is not None
         address = process.stdout.readline().split()[0]
+        remark = process.stdout.readline()
         own = {"origin": address.rstrip("/")}
         answer = httpx.post(f"{address}api/scan/start", json={}, headers=own, timeout=LONG_S)
         assert answer.status_code == 200
@@ -462,9 +463,9 @@ def test_a_signal_ends_the_scan_after_its_frame(tmp_path: Path, number: int) -> 
         process.send_signal(number)
         out, err = process.communicate(timeout=LONG_S)
     assert (process.returncode, err) == (0, "")
+    assert remark.startswith("every user of this machine can move the track; --token keeps")
     folder = output / "scan-001"
     assert out.splitlines() == [
-        "every user of this machine can move the track; --token keeps others out",
         "track closed",
         f"stopped; go on with: lscan scan rig.toml -o {folder} --resume",
     ]
