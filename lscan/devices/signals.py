@@ -84,8 +84,8 @@ def no_suspending() -> Iterator[None]:
         yield
 
 
-class _Interrupted(KeyboardInterrupt):
-    """Unlike its base it can be referred to weakly."""
+class _KeyboardInterrupt(KeyboardInterrupt):
+    """Unlike its base it can be referred to weakly; Mitsuba passes on no more than its name."""
 
 
 class _Interruption:
@@ -98,9 +98,9 @@ class _Interruption:
         if self._raised() is None:
             raise self._new()
 
-    def _new(self) -> _Interrupted:
+    def _new(self) -> _KeyboardInterrupt:
         # Not in a variable of __call__, whose frame the exception refers to.
-        interrupted = _Interrupted()
+        interrupted = _KeyboardInterrupt()
         self._raised = weakref.ref(interrupted)
         return interrupted
 

@@ -187,6 +187,8 @@ class LiveDevices:
 
         Raises DeviceError; ``laser_warning`` says then what to do.
         """
+        if not self.can_switch_laser:
+            return  # without waiting, as for one who cranks the head by hand
         with self._using:
             if not self.laser or not isinstance(self.track, LaserSwitch):
                 return
@@ -239,12 +241,11 @@ class LiveDevices:
 
     def close(self) -> None:
         """The laser off and both devices released; closing twice is harmless."""
-        with self._using:
-            self._closed = True
-            with contextlib.suppress(Exception):  # of any driver; laser_warning says it
-                self.laser_off()
-            self._camera.close()
-            self.track.close()
+        self._closed = True  # no command begins from here on
+        with contextlib.suppress(Exception):  # of any driver; laser_warning says it
+            self.laser_off()
+        self._camera.close()
+        self.track.close()
 
 
 def _notes(error: BaseException) -> Sequence[str]:
