@@ -265,16 +265,9 @@ def _scan_laser(track: Track, plan: Plan, longest_s: float) -> Iterator["_ScanLa
                 laser.on()
             yield laser
         except BaseException as error:
-            try:
-                laser.off()
-            except Exception:  # of any driver; the first fault is the one to report
-                error.add_note(LASER_MAY_BE_LIT)
+            laser.end(error)
             raise
-        try:
-            laser.off()
-        except Exception as error:
-            error.add_note(LASER_MAY_BE_LIT)
-            raise
+        laser.end()
 
 
 @dataclass
@@ -296,10 +289,22 @@ class _ScanLaser:
             self.switch.laser_on()
 
     def off(self) -> None:
-        """Switch it off, whatever signal comes meanwhile."""
+        """Switch it off."""
+        self.switch.laser_off()
+        self.lit = False
+
+    def end(self, fault: BaseException | None = None) -> None:
+        """Switch it off, whatever signal comes meanwhile; where that fails, the fault notes it.
+
+        fault: what ended the scan, and is the one to report; None where all was well.
+        """
         with stop_signals_held():
-            self.switch.laser_off()
-            self.lit = False
+            try:
+                self.off()
+            except Exception as error:  # of any driver
+                (fault or error).add_note(LASER_MAY_BE_LIT)
+                if fault is None:
+                    raise
 
     @contextmanager
     def watched(self, what: str) -> Iterator[None]:
@@ -313,8 +318,9 @@ class _ScanLaser:
         try:
             yield
         finally:
-            timer.cancel()
-            timer.join()
+            with stop_signals_held():  # the track is of one thread at a time
+                timer.cancel()
+                timer.join()
 
     def _overdue(self, what: str) -> None:
         late = f"{what} takes longer than {self.longest_s:g} s"

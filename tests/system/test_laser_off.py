@@ -280,13 +280,19 @@ def test_a_lost_track_is_said_with_the_laser_it_leaves_lit(
     assert LASER_MAY_BE_LIT in caplog.text  # by the track itself, where no scan uses it
 
 
-def test_a_signal_as_another_error_is_dealt_with_keeps_its_notes(commands: Command) -> None:
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_signal_as_another_error_is_dealt_with_keeps_its_notes(
+    commands: Command, lost: bool
+) -> None:
     def lose(bench: Bench) -> None:
         bench.again = signal.SIGTERM
+        if lost:
+            bench.unplug()
         raise DeviceError("the camera is gone")
 
     code, _, said = commands(Bench("marlin", lose), "scan")
     assert (code, said.startswith(f"lscan: stopped; {KEPT}")) == (130, True)
+    assert (LASER_MAY_BE_LIT in said) is lost
 
 
 LIVE = [
