@@ -71,7 +71,7 @@ class DeviceError(LscanError):
 
 
 class Stopped(LscanError):
-    """Work that its user stopped, by Ctrl-C or another SIGINT or SIGTERM."""
+    """Work that its user stopped, by Ctrl-C or another signal that ends a program."""
 
     exit_code = 130  # as a shell reports SIGINT
 

@@ -6,6 +6,7 @@ scan, so a scan that is stopped and resumed gives the same bytes.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -156,6 +157,11 @@ class SimCamera:
     def size_px(self) -> tuple[int, int]:
         """(width, height) of every picture."""
         return self._scene.rig.camera.size_px
+
+    @property
+    def longest_grab_s(self) -> float:
+        """However long it renders, no laser of the world is lit."""
+        return math.inf
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         """A picture, (H, W, 3) RGB, seen from the track's position.

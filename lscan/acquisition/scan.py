@@ -1,8 +1,10 @@
 """Acquisition: from a rig and its scan plan to a run folder."""
 
+import logging
 import math
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,11 +14,24 @@ from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
 from lscan.config.rig import CameraSection, Plan
 from lscan.config.rigfile import RigFile, drivers_of
-from lscan.devices.api import Camera, Grab, LaserSwitch, PlaceChecking, Track
+from lscan.devices.api import (
+    LASER_MAY_BE_LIT,
+    Camera,
+    Grab,
+    LaserSwitch,
+    PlaceChecking,
+    Track,
+    longest_grab_s,
+)
+from lscan.devices.signals import interrupted_by_signals, no_suspending, stop_signals_held
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes, Frame, Progress
 
 GoOn = Callable[[], bool]
+LIT_ATTEMPTS = 2
+"""How often a picture is taken whose laser went off because it was overdue."""
+
+_log = logging.getLogger(__name__)
 
 
 def scan(
@@ -50,7 +65,10 @@ def scan(
         Where the folder cannot be used.
     DeviceError
         Where a device fails; what was recorded until then can be resumed.  Devices are closed
-        in all cases.
+        in all cases.  A laser that could not be switched off is spoken of in a note.
+    KeyboardInterrupt
+        By a signal that would otherwise end the process with the laser lit, such as SIGTERM or
+        SIGHUP, unless the caller handles it.
 
     Examples
     --------
@@ -78,6 +96,9 @@ def scan(
 def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
     """The rig's camera and track, opened by their drivers and closed at the end of the block.
 
+    A signal that would end the process at once raises KeyboardInterrupt within the block, unless
+    it has a handler already; none cuts the closing short.
+
     Parameters
     ----------
     rig_file : RigFile, names the drivers and their options
@@ -89,12 +110,17 @@ def open_devices(rig_file: RigFile) -> Iterator[tuple[Camera, Track]]:
     DeviceError
         A device does not open, or the camera's pictures are not of the rig's size.
     """
-    with ExitStack() as opened:
+    with interrupted_by_signals(unhandled_only=True), ExitStack() as opened:
         track = open_track(rig_file)
-        opened.callback(track.close)
+        opened.callback(_close, track)
         camera = open_camera(rig_file, track)
-        opened.callback(camera.close)
+        opened.callback(_close, camera)
         yield camera, track
+
+
+def _close(device: Camera | Track) -> None:
+    with stop_signals_held(), no_suspending():
+        device.close()
 
 
 def open_track(rig_file: RigFile) -> Track:
@@ -148,7 +174,9 @@ def acquire_into(
     """The complete run: the frames still missing from ``writer`` are taken and written.
 
     Each frame's pictures and its row are on disk, synced, before the track moves on; a laser
-    that the plan switches is off at the end, whatever happened.  The devices stay open.
+    that the plan switches is off at the end, whatever happened, and off while a picture is overdue
+    (``longest_grab_s``).  Where it cannot be switched off, the error says so in a note.  The
+    devices stay open.
 
     Parameters
     ----------
@@ -179,14 +207,17 @@ def acquire_into(
     writer.keep_camera(camera)
     if not position_restored:
         _check_place(writer, track, positions_mm)
-    with _keeping_zero(writer, track), _laser(track, plan) as switch:
-        devices = _ScanDevices(writer.rig_file.rig.camera, camera, track, switch)
+    longest_s = longest_grab_s(camera)
+    with _keeping_zero(writer, track), _scan_laser(track, plan, longest_s) as laser:
+        devices = _ScanDevices(writer.rig_file.rig.camera, camera, track, laser, plan.paired)
         while writer.written < writer.planned:
             if go_on is not None and not go_on():
                 return open_run(writer.path, trusted=True)
-            writer.append(devices.take(writer.written, positions_mm[writer.written]))
-            if progress is not None:
-                progress(writer.written, writer.planned)
+            frame = devices.take(writer.written, positions_mm[writer.written])
+            with nullcontext() if laser is None else laser.watched("the disk or the screen"):
+                writer.append(frame)
+                if progress is not None:
+                    progress(writer.written, writer.planned)
     return writer.finish()
 
 
@@ -217,58 +248,135 @@ def _keeping_zero(writer: RunWriter, track: Track) -> Iterator[None]:
 
 
 @contextmanager
-def _laser(track: Track, plan: Plan) -> Iterator[LaserSwitch | None]:
-    """The laser's switch where the plan is of pairs, else None; at the end the laser is off.
+def _scan_laser(track: Track, plan: Plan, longest_s: float) -> Iterator["_ScanLaser | None"]:
+    """The laser where the plan switches it, else None; at the end it is off.
 
-    For the plan "on" it is lit throughout the block; untouched, it is left as it is.  Raises
-    DeviceError where the track has no switch and the plan needs one.
+    For the plan "on" it is lit from the start.  Raises DeviceError where the track has no switch
+    and the plan needs one.
     """
     if plan.laser == "untouched":
         yield None
         return
     if not isinstance(track, LaserSwitch):
         raise DeviceError(f"plan.laser = {plan.laser!r}: this track switches no laser")
-    try:
-        if plan.paired:
-            yield track
-        else:
-            track.laser_on()
-            yield None
-    except BaseException:
-        with suppress(DeviceError):  # the first fault is the one to report
-            track.laser_off()
-        raise
-    track.laser_off()
+    laser = _ScanLaser(track, longest_s)
+    with no_suspending():
+        try:
+            if not plan.paired:
+                laser.on()
+            yield laser
+        except BaseException as error:
+            laser.end(error)
+            raise
+        laser.end()
+
+
+@dataclass
+class _ScanLaser:
+    """The laser of a scan, which is off while anything takes longer than it may.
+
+    longest_s: how long a picture, or anything but a motion, may take while it is lit.
+    lit: it is, or may be.
+    """
+
+    switch: LaserSwitch
+    longest_s: float
+    lit: bool = False
+
+    def on(self) -> None:
+        """Light it, where it is not lit."""
+        if not self.lit:
+            self.lit = True
+            self.switch.laser_on()
+
+    def off(self) -> None:
+        """Switch it off."""
+        self.switch.laser_off()
+        self.lit = False
+
+    def end(self, fault: BaseException | None = None) -> None:
+        """Switch it off, whatever signal comes meanwhile; where that fails, the fault notes it.
+
+        fault: what ended the scan, and is the one to report; None where all was well.
+        """
+        with stop_signals_held():
+            try:
+                self.off()
+            except Exception as error:  # of any driver
+                (fault or error).add_note(LASER_MAY_BE_LIT)
+                if fault is None:
+                    raise
+
+    @contextmanager
+    def watched(self, what: str) -> Iterator[None]:
+        """Switch it off where the block, in which nothing else uses the track, takes too long."""
+        if not self.lit or math.isinf(self.longest_s):
+            yield
+            return
+        timer = threading.Timer(self.longest_s, self._overdue, args=(what,))
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
+        finally:
+            with stop_signals_held():  # the track is of one thread at a time
+                timer.cancel()
+                timer.join()
+
+    def _overdue(self, what: str) -> None:
+        late = f"{what} takes longer than {self.longest_s:g} s"
+        try:
+            self.switch.laser_off()
+            self.lit = False
+            _log.warning("%s: the laser is off meanwhile", late)
+        except Exception:
+            _log.warning("%s: %s", late, LASER_MAY_BE_LIT)
 
 
 @dataclass
 class _ScanDevices:
     """Camera and track at work on one scan.
 
-    switch: of the laser, where each frame is a pair.  last_time_s: of the picture before, which
-    the next must exceed.
+    laser: where the plan switches it.  paired: whether each frame is a pair.
+    last_time_s: of the picture before, which the next must exceed.
     """
 
     section: CameraSection
     camera: Camera
     track: Track
-    switch: LaserSwitch | None
+    laser: _ScanLaser | None
+    paired: bool
     last_time_s: float = -math.inf
 
     def take(self, index: int, commanded_mm: float) -> Frame:
         """The frame taken there, checked; DeviceError where a run cannot hold it."""
         position_mm = self.track.move_to(commanded_mm)
-        if self.switch is not None:
-            self.switch.laser_on()
-        lit = self._checked(self.camera.grab(index), index)
-        background = None if self.switch is None else self._background(index, lit, self.switch)
+        grab = self.camera.grab(index) if self.laser is None else self._lit(index, self.laser)
+        lit = self._checked(grab, index)
+        background = None
+        if self.paired and self.laser is not None:
+            background = self._background(index, lit, self.laser)
         _require_finite("position_mm", position_mm, index)
         places_mm = commanded_mm, position_mm
         return Frame(lit.image, index, *places_mm, lit.time_s, lit.exposure_ms, background)
 
-    def _background(self, index: int, lit: Grab, switch: LaserSwitch) -> Bytes:
+    def _lit(self, index: int, laser: _ScanLaser) -> Grab:
+        """A picture with the laser on all the time; one that came too late is taken again."""
+        name = f"camera {self.section.driver!r}: frame {index}"
+        for _ in range(LIT_ATTEMPTS):
+            laser.on()
+            with laser.watched(name):
+                grab = self.camera.grab(index)
+            if laser.lit:
+                return grab
+        raise DeviceError(
+            f"{name} took longer than {laser.longest_s:g} s {LIT_ATTEMPTS} times, and the laser "
+            "went off; check the camera, or have it take fewer pictures for a frame"
+        )
+
+    def _background(self, index: int, lit: Grab, laser: _ScanLaser) -> Bytes:
         """The same view with the laser off, which must have been taken like the lit one."""
-        switch.laser_off()
+        laser.off()
         dark = self._checked(self.camera.grab(index, dark=True), index)
         for name, one, other in (
             ("shape", dark.image.shape, lit.image.shape),

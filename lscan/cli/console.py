@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from typing import Any, NoReturn
 
 import typer
@@ -14,7 +14,7 @@ from rich.text import Text
 from typer.core import TyperGroup
 
 from lscan.cli.memory import keep_freed_memory
-from lscan.devices.signals import on_stop_signals
+from lscan.devices.signals import interrupted_by_signals, on_stop_signals
 from lscan.errors import LscanError, Stopped, missing_package
 from lscan.files.jsontext import json_text
 from lscan.files.longwork import long_work_shown
@@ -59,17 +59,22 @@ def command_line(about: str) -> typer.Typer:
 def run_command_line(app: typer.Typer, name: str) -> None:
     """Run a command line and leave with its exit code; errors become one line on stderr.
 
-    SIGINT and SIGTERM stop every command alike, see ``on_stop_signals``.
+    Ctrl-C, SIGTERM and their like stop every command alike, see ``interrupted_by_signals``.
 
     Parameters
     ----------
     app : Typer, the command line with its commands
     name : str, of the program, as errors and ``--help`` say it
     """
+    with interrupted_by_signals():
+        _run_command_line(app, name)
+
+
+def _run_command_line(app: typer.Typer, name: str) -> NoReturn:
     command = typer.main.get_command(app)
     keep_freed_memory()
     try:
-        with on_stop_signals(_interrupt), long_work_shown(progress_bar):
+        with long_work_shown(progress_bar):
             code = command.main(prog_name=name, standalone_mode=False)
     except LscanError as error:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
@@ -96,21 +101,25 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _interrupt() -> None:
-    raise KeyboardInterrupt
-
-
 @contextmanager
 def keep_notes_when_stopped() -> Iterator[None]:
-    """Turn a Ctrl-C that carries notes into an error with them: typer drops it, notes and all."""
+    """Turn a Ctrl-C into an error with its notes: typer drops it, notes and all.
+
+    One that came while another error was dealt with has that one's notes too.
+    """
     try:
         yield
     except KeyboardInterrupt as stop:
-        raise Stopped("; ".join(["stopped", *getattr(stop, "__notes__", ())])) from stop
+        said, error = ["stopped"], stop  # type: list[str], BaseException | None
+        while error is not None:
+            said += getattr(error, "__notes__", ())
+            error = error.__context__
+        raise Stopped("; ".join(said)) from stop
 
 
 def _leave(name: str, message: str, code: int) -> NoReturn:
-    print(f"{name}: {printable(message)}", file=sys.stderr)
+    with on_stop_signals(lambda: None), suppress(OSError):  # the terminal may be gone
+        print(f"{name}: {printable(message)}", file=sys.stderr)
     sys.exit(code)
 
 

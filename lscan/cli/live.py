@@ -19,12 +19,15 @@ def live(
     host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0: any that is free.")] = 8765,
     token: Annotated[
-        str | None, typer.Option(help="What a browser must know; made where needed.")
+        str | None,
+        typer.Option(help="What a browser must know; made for a --host that others reach."),
     ] = None,
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""
     from lscan.calibration.loading import load_plane_map
     from lscan.config.rigfile import load_rig
+    from lscan.devices.signals import no_suspending, on_stop_signals
+    from lscan.errors import DeviceError
     from lscan.live.access import grant
     from lscan.live.boardpicture import use_map
     from lscan.live.server import listen, make_server
@@ -39,13 +42,17 @@ def live(
     with listen(host, port) as listening:
         access = grant(host, listening.getsockname()[1], token)
         session = Session(rig_file, output, used)
-        try:
-            first, *others = access.addresses
-            print(f"{first}  (Ctrl-C ends)", *others, sep="\n", flush=True)
-            if access.token:
-                print("everybody with this address can move the track", flush=True)
-            make_server(session, access).run(sockets=[listening])
-        finally:
-            unfinished = session.close()
-    if unfinished is not None:
-        print(f"stopped; go on with: lscan scan {rig} -o {unfinished} --resume")
+        server = make_server(session, access)
+        # Whatever signals come, and however many: the laser is off before the program ends.
+        with on_stop_signals(server.stop), no_suspending():
+            try:
+                first, *others = access.addresses
+                print(f"{first}  (Ctrl-C ends)", *others, sep="\n", flush=True)
+                print(access.remark, flush=True)
+                server.run(sockets=[listening])
+            finally:
+                unfinished = session.close()
+            if unfinished is not None:
+                print(f"stopped; go on with: lscan scan {rig} -o {unfinished} --resume", flush=True)
+    if session.laser_warning:
+        raise DeviceError(session.laser_warning)

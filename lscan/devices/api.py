@@ -10,6 +10,12 @@ from typing import Protocol, runtime_checkable
 from lscan.config.rigfile import RigFile
 from lscan.records import Bytes
 
+LASER_MAY_BE_LIT = "the laser may still be lit: switch it off at its supply"
+"""What is said wherever a laser could not be switched off."""
+
+LONGEST_GRAB_S = 10.0
+"""How long a grab may take of a camera that does not state it."""
+
 Fact = str | float | bool | None
 """What is known of a device under a name that carries the unit; None: it does not say."""
 
@@ -195,6 +201,29 @@ class Previewing(Protocol):
 
         May be called while another thread grabs.  Raises DeviceError where none comes.
         """
+
+
+@runtime_checkable
+class Paced(Protocol):
+    """A camera that knows how long its pictures take."""
+
+    @property
+    def longest_grab_s(self) -> float:
+        """How long a grab takes at most while nothing is amiss, s.
+
+        A scan that lights the laser switches it off when a grab takes longer.  Infinite where
+        nothing is lit: pictures that are computed, or were recorded.
+        """
+
+
+def longest_grab_s(camera: Camera) -> float:
+    """How long a grab takes at most while nothing is amiss, s.
+
+    Parameters
+    ----------
+    camera : Camera, what it states holds, LONGEST_GRAB_S else
+    """
+    return camera.longest_grab_s if isinstance(camera, Paced) else LONGEST_GRAB_S
 
 
 @runtime_checkable

@@ -1,30 +1,129 @@
-"""Ctrl-C and SIGTERM: what runs is ended in order, so that no laser stays lit."""
+"""Signals that end a program: what runs is ended in order, so that no laser stays lit."""
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+import weakref
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+
+
+def _known(*names: str) -> tuple[int, ...]:
+    return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
+
+
+STOPPING = _known(
+    *("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"),  # Ctrl-C, kill, the terminal goes, Ctrl-\
+    *("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGPWR"),  # batch systems, limits, a UPS
+)
+"""What others send to end a program, as far as it can be handled.  SIGKILL cannot."""
+
+SUSPENDING = _known("SIGTSTP", "SIGTTIN", "SIGTTOU")
+"""Ctrl-Z, and what a terminal does to a program in the background that uses it."""
+
+_MEANT = _known("SIGINT", "SIGTERM", "SIGQUIT")
 
 
 @contextmanager
 def on_stop_signals(act: Callable[[], None]) -> Iterator[None]:
-    """Let SIGINT and SIGTERM call a function within the block.
+    """Let the signals of STOPPING call a function within the block.
 
-    SIGINT does so also where the process was begun with it ignored, as ``nohup``, cron and a
-    script's ``&`` do: whoever then sends it by ``kill -INT`` means it.  SIGTERM, whose default
-    is to end the process at once, would leave a laser lit and a track moving.
+    SIGINT and SIGQUIT do so also where the process was begun with them ignored, as ``nohup``,
+    cron and a script's ``&`` do: whoever then sends one by ``kill`` means it.  A SIGHUP that is
+    ignored stays so: under ``nohup`` the work goes on when the terminal goes.
 
     Parameters
     ----------
     act : callable, called by the signal, in the main thread
     """
+    with _on_signals(filter(_may_act, STOPPING), lambda _: act()):
+        yield
+
+
+@contextmanager
+def interrupted_by_signals(unhandled_only: bool = False) -> Iterator[None]:
+    """Let the signals of STOPPING raise KeyboardInterrupt within the block, one at a time.
+
+    Until the exception has been dealt with, further signals change nothing: they ask for what
+    is being done, and must not cut it short.  One that was lost, as in a destructor, of which
+    Python tells nobody, is replaced at the next signal.
+
+    Parameters
+    ----------
+    unhandled_only : bool
+        Leave alone those for which there is a handler, such as a script's own.
+    """
+    with _on_signals(filter(_unhandled if unhandled_only else _may_act, STOPPING), _Interruption()):
+        yield
+
+
+@contextmanager
+def stop_signals_held() -> Iterator[None]:
+    """Let the signals of STOPPING that come within the block act at its end, as one."""
+    came: list[int] = []
+    try:
+        with _on_signals(filter(_may_act, STOPPING), came.append):
+            yield
+    finally:
+        if came:
+            signal.raise_signal(came[0])
+
+
+@contextmanager
+def no_suspending() -> Iterator[None]:
+    """Let Ctrl-Z act as Ctrl-C within the block, in which a laser may be lit.
+
+    A program that is suspended could not switch it off.  That it is in the background and uses
+    the terminal does not suspend it either.
+    """
+
+    def act(number: int) -> None:
+        if number == SUSPENDING[0]:
+            signal.raise_signal(signal.SIGINT)
+
+    with _on_signals(SUSPENDING, act):
+        yield
+
+
+class _KeyboardInterrupt(KeyboardInterrupt):
+    """Unlike its base it can be referred to weakly; Mitsuba passes on no more than its name."""
+
+
+class _Interruption:
+    """A handler that raises, but not while what it raised is on its way."""
+
+    def __init__(self) -> None:
+        self._raised: Callable[[], KeyboardInterrupt | None] = lambda: None
+
+    def __call__(self, _: int) -> None:
+        if self._raised() is None:
+            raise self._new()
+
+    def _new(self) -> _KeyboardInterrupt:
+        # Not in a variable of __call__, whose frame the exception refers to.
+        interrupted = _KeyboardInterrupt()
+        self._raised = weakref.ref(interrupted)
+        return interrupted
+
+
+@contextmanager
+def _on_signals(numbers: Iterable[int], act: Callable[[int], None]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # which alone may set handlers
         yield
         return
-    stopping = (signal.SIGINT, signal.SIGTERM)
-    before = {number: signal.signal(number, lambda *_: act()) for number in stopping}
+    before = {number: signal.signal(number, lambda n, _: act(n)) for number in list(numbers)}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _may_act(number: int) -> bool:
+    """Whether the signal is not ignored on purpose, nor handled outside of Python."""
+    handler = signal.getsignal(number)
+    return handler is not None and (handler != signal.SIG_IGN or number in _MEANT)
+
+
+def _unhandled(number: int) -> bool:
+    """Whether the signal does what it does without anybody's doing."""
+    return signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)

@@ -24,6 +24,7 @@ from lscan.errors import DiskError, InputError
 _MAKE_WRITABLE = "make it writable, or choose another folder"
 _BRING_BACK = "make its folder, or bring it back where it was moved or its disk taken away"
 _CHECK_DISK = "check the disk and its cable"
+CLOSE_FILES = "close what holds so many files open, or raise the limit (ulimit -n)"
 REMEDIES = {
     errno.ENOSPC: "make room on the disk",
     errno.EDQUOT: "make room on the disk, or have the quota raised",
@@ -36,11 +37,14 @@ REMEDIES = {
     errno.EIO: _CHECK_DISK,
     errno.ENODEV: _CHECK_DISK,
     errno.ESTALE: _CHECK_DISK,
+    errno.EMFILE: CLOSE_FILES,
+    errno.ENFILE: CLOSE_FILES,
     errno.ELOOP: "put the file itself there instead of a link to it",
 }
 """What to do where the system refuses a write, by its error number."""
 _FULL_OR_FAILED = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENODEV, errno.ESTALE}
+    | {errno.EMFILE, errno.ENFILE}
 )
 
 _TEMPORARIES = f".*.{'[0-9a-f]' * 8}.tmp"
@@ -499,6 +503,8 @@ def _too_large(file: Path, size: int, most: int) -> InputError:
 def _unreadable(path: Path, error: OSError) -> InputError:
     gone = error.errno in (errno.ENOENT, errno.ENOTDIR, errno.ENAMETOOLONG)
     remedy = "check its name, and that its disk is there" if gone else "check its permissions"
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        remedy = CLOSE_FILES
     if error.errno in (errno.EIO, errno.ENODEV, errno.ESTALE):
         remedy = _CHECK_DISK
     return InputError(f"cannot be read: {error.strerror}; {remedy}", where=path)

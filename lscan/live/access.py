@@ -51,6 +51,14 @@ class Access:
         query = f"/?token={self.token}" if self.token else "/"
         return tuple(f"http://{_bracketed(name)}:{self.port}{query}" for name in names)
 
+    @property
+    def remark(self) -> str:
+        """Who can move the track, in a line beneath the addresses."""
+        if self.token is None:
+            return "every user of this machine can move the track; --token keeps others out"
+        seen = "" if self.host in LOOPBACK else ", and plain HTTP shows it to the network between"
+        return f"everybody with this address can move the track{seen}"
+
     def refusal(
         self, headers: Mapping[str, str], query_token: str | None = None, commands: bool = False
     ) -> str | None:

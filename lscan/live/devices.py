@@ -9,11 +9,20 @@ answers, and opened again by the next command that needs it.
 import contextlib
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 from lscan.acquisition.scan import open_camera, open_track
 from lscan.config.rigfile import RigFile
-from lscan.devices.api import Camera, Describing, Grab, LaserSwitch, Previewing, Track
+from lscan.devices.api import (
+    LASER_MAY_BE_LIT,
+    Camera,
+    Describing,
+    Grab,
+    LaserSwitch,
+    Previewing,
+    Track,
+    longest_grab_s,
+)
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.errors import one_line
 from lscan.stripe.lines import check_picture
@@ -24,7 +33,8 @@ Show = Callable[[Grab], None]
 class LiveDevices:
     """The devices of a rig.  Opening raises InputError and DeviceError, as open_devices does.
 
-    laser: whether the laser was switched on or off here; None where it is not known.
+    laser: True where the laser was switched on here, until it is known to be off; None where it
+    never was.
     """
 
     def __init__(self, rig_file: RigFile, show: Show) -> None:
@@ -34,6 +44,7 @@ class LiveDevices:
         self._using = threading.RLock()  # while one uses the track; taken before _looking
         self._scanning = False
         self.laser: bool | None = None
+        self._laser_stuck = self._closed = False
         self.camera_error = ""
         self.track = open_track(rig_file)
         try:
@@ -82,6 +93,7 @@ class LiveDevices:
         """Show a scan's picture; one that is not sound the acquisition itself refuses."""
         with contextlib.suppress(LscanError):
             self._require_sound(grab)
+            self.camera_error = ""  # of a look before the scan: none is taken meanwhile
             self._show(grab)
 
     def _reopen_camera(self) -> None:
@@ -126,17 +138,20 @@ class LiveDevices:
     def ready(self) -> None:
         """Open the track again where it does not answer; only ever when asked to move or switch.
 
-        Opening may home, so it moves; a simulated camera goes with its track.
-        Raises DeviceError where it does not open.
+        Opening may home, so it moves; a simulated camera goes with its track.  A laser that was
+        on when the track was lost is off then.
+        Raises DeviceError where it does not open, or all is closed.
         """
         with self._using:
+            if self._closed:  # by then a command may have waited for the track
+                raise DeviceError("the page is closed")
             self._ask_track()
             if not self.track_error:
                 return
             with self._looking:
                 self.track.close()
-                self.laser = None
                 self.track = open_track(self._rig_file)
+                self.laser_off()
                 self._reopen_camera()
 
     def move_to(self, position_mm: float) -> None:
@@ -161,11 +176,34 @@ class LiveDevices:
                     where="track.driver",
                     value=self._rig_file.rig.track.driver,
                 )
+            self.laser = True
             if on:
                 track.laser_on()
             else:
-                track.laser_off()
-            self.laser = on
+                self.laser_off()
+
+    def laser_off(self) -> None:
+        """Switch off a laser that is or may be on, once what uses the track has ended.
+
+        Raises DeviceError; ``laser_warning`` says then what to do.
+        """
+        if not self.can_switch_laser:
+            return  # without waiting, as for one who cranks the head by hand
+        with self._using:
+            if not self.laser or not isinstance(self.track, LaserSwitch):
+                return
+            try:
+                self.track.laser_off()
+            except BaseException:
+                self._laser_stuck = True
+                raise
+            self.laser = self._laser_stuck = False
+
+    @property
+    def laser_warning(self) -> str:
+        """What to do about a laser that may be lit and cannot be switched off, else ""."""
+        stuck = self.laser and (self._laser_stuck or self.track_error)
+        return LASER_MAY_BE_LIT if stuck else ""
 
     @contextlib.contextmanager
     def laser_dark(self) -> Iterator[None]:
@@ -187,22 +225,31 @@ class LiveDevices:
         with self._using:
             with self._looking:
                 self._scanning = True
+            switched = self._rig_file.rig.plan.laser != "untouched"
             try:
+                self.laser = switched or self.laser
                 yield _ScanCamera(self._camera, self._show_sound), self.track
+                if switched:
+                    self.laser = self._laser_stuck = False
+            except BaseException as error:
+                if switched:
+                    self.laser = self._laser_stuck = LASER_MAY_BE_LIT in _notes(error)
+                raise
             finally:
                 with self._looking:
                     self._scanning = False
-                    if self._rig_file.rig.plan.laser != "untouched":
-                        self.laser = False  # as a scan that switches it leaves it
 
     def close(self) -> None:
         """The laser off and both devices released; closing twice is harmless."""
-        if self.laser and isinstance(self.track, LaserSwitch):
-            with contextlib.suppress(DeviceError):
-                self.track.laser_off()
-        self.laser = None
+        self._closed = True  # no command begins from here on
+        with contextlib.suppress(Exception):  # of any driver; laser_warning says it
+            self.laser_off()
         self._camera.close()
         self.track.close()
+
+
+def _notes(error: BaseException) -> Sequence[str]:
+    return getattr(error, "__notes__", ())
 
 
 class _ScanCamera:
@@ -214,6 +261,10 @@ class _ScanCamera:
     @property
     def size_px(self) -> tuple[int, int]:
         return self._camera.size_px
+
+    @property
+    def longest_grab_s(self) -> float:
+        return longest_grab_s(self._camera)
 
     def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
         # A camera that knows nothing of dark pictures serves scans without them.

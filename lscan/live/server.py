@@ -8,7 +8,7 @@ import asyncio
 import contextlib
 import json
 import socket
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable
 from typing import Annotated, Any, Literal, TypeVar
 
 import uvicorn
@@ -21,13 +21,13 @@ from starlette.routing import Route
 from starlette.types import ASGIApp
 
 from lscan.config.documents import Strict, check
-from lscan.devices.signals import on_stop_signals
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.access import Access
-from lscan.live.admission import AccessMiddleware
+from lscan.live.admission import REQUEST_S, AccessMiddleware, BrowserConnection
 from lscan.live.files import page_files
 from lscan.live.session import Session
 
+BACKLOG = 64  # connections that wait to be taken, and so are taken at once
 LONGEST_WAIT_S = 5.0
 LONGEST_BODY = 10_000  # bytes; a command takes some fifty
 
@@ -156,11 +156,12 @@ async def _document(request: Request) -> dict[str, Any]:
     """The JSON object in the body, {} for none; InputError for anything else."""
     body = b""
     try:
-        async for part in request.stream():
-            body += part
-            if len(body) > LONGEST_BODY:
-                raise InputError("is too long", where="body", allowed=f"{LONGEST_BODY} bytes")
-    except ClientDisconnect as error:
+        async with asyncio.timeout(REQUEST_S):
+            async for part in request.stream():
+                body += part
+                if len(body) > LONGEST_BODY:
+                    raise InputError("is too long", where="body", allowed=f"{LONGEST_BODY} bytes")
+    except (ClientDisconnect, TimeoutError) as error:
         raise InputError("was cut short", where="body") from error
     try:
         document = json.loads(body or b"{}")
@@ -177,21 +178,22 @@ def _refused(error: LscanError, code: int) -> JSONResponse:
 
 
 class LiveServer(uvicorn.Server):
-    """Ends quietly on Ctrl-C and SIGTERM, so that what comes after it is still done."""
+    """Leaves signals to who runs it, so that what comes after it is still done."""
 
     def __init__(self, config: uvicorn.Config, page: LivePage) -> None:
         super().__init__(config)
         self._page = page
 
     def stop(self) -> None:
-        """End soon: those who wait for a picture are let go, nothing new is taken on."""
+        """End soon: those who wait for a picture are let go, nothing new is taken on.
+
+        Again and again, from any thread or signal handler.
+        """
         self.should_exit = True
         self._page.close()
 
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        with on_stop_signals(self.stop):
-            yield
+    def capture_signals(self) -> contextlib.nullcontext[None]:  # type: ignore[override]
+        return contextlib.nullcontext()
 
 
 def listen(host: str, port: int) -> socket.socket:
@@ -247,6 +249,8 @@ def make_server(session: Session, access: Access) -> LiveServer:
         log_level="critical",
         access_log=False,
         lifespan="on",
+        http=BrowserConnection,
+        backlog=BACKLOG,
         ws="none",
         server_header=False,
         timeout_graceful_shutdown=2,

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -92,7 +92,7 @@ class Session:
             thread.start()
 
     def close(self) -> Path | None:
-        """Stop a scan after its frame and release the devices.
+        """Stop a scan after its frame, switch the laser off and release the devices.
 
         Returns
         -------
@@ -100,12 +100,19 @@ class Session:
             The run folder of a scan that is not finished; None where there is no such scan.
         """
         unfinished = self.scanning.close()
+        with suppress(Exception):  # tried again in the end
+            self._devices.laser_off()  # before threads are waited for that wait for a camera
         self._closing.set()
         for thread in (*self._threads, self._task_thread):
             if thread is not None:
                 thread.join()
         self._devices.close()
         return unfinished
+
+    @property
+    def laser_warning(self) -> str:
+        """What to do about a laser that may be lit and cannot be switched off, else ""."""
+        return self._devices.laser_warning
 
     # ---- commands -----------------------------------------------------------------------
 
@@ -147,6 +154,7 @@ class Session:
         """
         with self._exclusive():
             self.scanning.start(name)
+            self._task_message = ""  # of a board picture before it
 
     def resume_scan(self) -> None:
         """Go on with a scan.
@@ -155,6 +163,7 @@ class Session:
         """
         with self._exclusive():
             self.scanning.resume()
+            self._task_message = ""
 
     def move_to(self, position_mm: float) -> None:
         """Move the head.
@@ -323,6 +332,7 @@ class Session:
             },
             "can_switch_laser": devices.can_switch_laser,
             "laser": {True: "on", False: "off", None: None}[devices.laser],
+            "laser_warning": devices.laser_warning,
             "calibration": str(calibration.path) if calibration else None,
             "board": rig.board is not None,
             "mode": self._mode,

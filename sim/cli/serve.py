@@ -9,7 +9,7 @@ import typer
 
 from lscan.cli.arguments import Json
 from lscan.cli.console import progress_bar
-from lscan.devices.signals import on_stop_signals
+from lscan.devices.signals import STOPPING, on_stop_signals
 from sim.cli.arguments import SceneFile, print_places
 
 
@@ -81,6 +81,6 @@ def serve(
 
 def _leave() -> None:
     """Leave through every ``with`` block, which a second signal must not cut short."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in STOPPING:
         signal.signal(number, signal.SIG_IGN)
     sys.exit(0)

@@ -15,6 +15,7 @@ from device_contract import CameraContract, TrackContract
 from lscan.acquisition.scan import open_camera, open_track
 from lscan.config.rigfile import RigFile, load_rig
 from lscan.devices.api import Camera, LaserSwitch, Limited, Track
+from lscan.devices.signals import interrupted_by_signals, no_suspending
 from lscan.errors import InputError
 
 pytestmark = pytest.mark.hardware
@@ -24,6 +25,13 @@ RECORDED = ("replay", "sim")
 
 UNSTATED_MM = 0.5
 """Tolerance of a track that states none: half a division of a scale in mm."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _laser_off_before_the_end() -> Iterator[None]:
+    """``kill``, Ctrl-Z and a terminal that goes end the tests as Ctrl-C does: tracks are closed."""
+    with interrupted_by_signals(), no_suspending():
+        yield
 
 
 @pytest.fixture(scope="module")

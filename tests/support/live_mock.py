@@ -146,6 +146,7 @@ class Instrument:
             "track": {"driver": "grbl", "position_mm": 12.0, "error": ""},
             "can_switch_laser": True,
             "laser": "on",
+            "laser_warning": "",
             "calibration": "runs/board-001.json",
             "board": True,
             "mode": "stripe",

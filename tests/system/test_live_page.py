@@ -653,6 +653,33 @@ def test_faults_stand_in_the_alert_line_until_they_are_gone(
     wait_for(page, "document.querySelector('#alert').innerText === ''")
 
 
+def test_why_a_command_was_refused_is_not_said_through_a_whole_scan(
+    chromium: Chromium, page: Page, instrument: Instrument
+) -> None:
+    instrument.refusal = "a scan is going on"
+    page.click("#start")
+    shows(page, "#alert", "a scan is going on")
+    chromium.take_errors()  # the browser notes every refused request in its console
+    instrument.scan_is("scanning", 34)
+    page.evaluate("(now => { Date.now = () => now() + 11000; })(Date.now)")
+    wait_for(page, "document.querySelector('#alert').innerText === ''")
+
+
+def test_a_laser_that_may_be_lit_is_said_also_without_a_server(chromium: Chromium) -> None:
+    page, instrument = chromium.page, Instrument()
+    instrument.state["laser_warning"] = "the laser may still be lit"
+    with served(instrument) as url:
+        page.goto(url)
+        shows(page, "#alert", "Laser: it may still be lit: switch it off at its supply")
+        instrument.state["laser_warning"] = ""
+        wait_for(page, "document.querySelector('#alert').innerText === ''")
+    wait_for(page, "document.querySelector('#connection').innerText === 'not live'")
+    shows(page, "#alert", "Laser: it may still be lit")
+    shows(page, "#alert", "trying again")
+    chromium.take_errors()
+    page.goto("about:blank")
+
+
 GREY = "getComputedStyle(document.querySelector('#picture')).filter.includes('grayscale')"
 DAY_S = 86_400
 

@@ -5,7 +5,7 @@ import logging
 import math
 from collections.abc import Iterator
 
-from lscan.devices.api import Fact
+from lscan.devices.api import LASER_MAY_BE_LIT, Fact
 from lscan.devices.grbl.controller import GrblMachine
 from lscan.devices.grbl.link import Link
 from lscan.devices.grbl.marlin import MarlinMachine
@@ -204,8 +204,10 @@ class SerialTrack:
         with contextlib.suppress(DeviceError):
             self._machine.stop()
         if self._lit:
-            with contextlib.suppress(DeviceError):
+            try:
                 self._machine.laser(0.0)
+            except DeviceError:
+                _log.warning("%s: %s", self._name, LASER_MAY_BE_LIT)
         self._link.close()
         self._refusal = _CLOSED
 

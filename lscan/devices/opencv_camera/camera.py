@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from lscan.config.rig import CameraSection
-from lscan.devices.api import Grab
+from lscan.devices.api import LONGEST_GRAB_S, Grab
 from lscan.devices.opencv_camera.identity import device_identity
 from lscan.devices.opencv_camera.jpegfile import is_whole
 from lscan.devices.opencv_camera.opening import open_capture
@@ -18,6 +18,9 @@ from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture
 from lscan.devices.opencv_camera.settings import Setting, Settings
 from lscan.errors import DeviceError
 from lscan.records import Bytes
+
+SLOWEST_S = 0.2
+"""Between two pictures of a webcam that works: 5 a second are few even for large ones."""
 
 _log = logging.getLogger(__name__)
 
@@ -62,6 +65,17 @@ class OpencvCamera:
     def size_px(self) -> tuple[int, int]:
         """(width, height) of every picture."""
         return self._section.size_px
+
+    @property
+    def longest_grab_s(self) -> float:
+        """How long a grab takes at most while nothing is amiss, s; longer, and the laser goes off.
+
+        SLOWEST_S or the exposure time for each picture, and LONGEST_GRAB_S to spare; what is waited
+        for a camera that does not open (``timeout_s``) is no matter of the laser.
+        """
+        options, exposure_s = self._options, self._settings.exposure_ms / 1000
+        pictures_s = options.pictures_per_grab * max(SLOWEST_S, exposure_s)
+        return LONGEST_GRAB_S + options.flush_ms / 1000 + pictures_s
 
     @property
     def settings(self) -> tuple[Setting, ...]:

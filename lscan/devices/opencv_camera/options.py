@@ -106,6 +106,11 @@ class OpencvOptions(Strict):
         return "flush_ms" in self.model_fields_set
 
     @property
+    def pictures_per_grab(self) -> int:
+        """How many pictures of a live camera one grab waits for."""
+        return self.flush_frames + self.average_frames
+
+    @property
     def exposure_settable(self) -> bool:
         """Whether ``exposure_ms`` is set: of a device that does not choose by itself."""
         return self.device is not None and not self.auto_exposure

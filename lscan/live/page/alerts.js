@@ -10,14 +10,17 @@ const textOf = (origin) => faults[origin]?.[0] ?? "";
  * Show the fault of one origin in the alert line, or clear it with "".
  *
  * Each fault is shown once: a consequence of a fault of camera or track is not shown beside that
- * fault, and without a server its absence alone is shown.
+ * fault, and without a server its absence alone is shown, and that the laser may be lit.
  */
 export function complain(origin, text, byDevice = false) {
   faults[origin] = [text || "", byDevice];
   const device = textOf("camera") || textOf("track");
   if (device && faults.command?.[1]) delete faults.command;
-  const shown = Object.values(faults).filter(([, byDevice]) => !(device && byDevice));
-  write($("alert"), textOf("connection") || shown.map(([text]) => text).filter(Boolean).join("\n"));
+  const { connection, laser } = faults;
+  const shown = connection?.[0]
+    ? [laser ?? [], connection]
+    : Object.values(faults).filter(([, byDevice]) => !(device && byDevice));
+  write($("alert"), shown.map(([text]) => text).filter(Boolean).join("\n"));
 }
 
 function showConnection(name, text) {

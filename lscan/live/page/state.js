@@ -6,12 +6,15 @@ import { disableButtons, showButtons, showScan } from "./scan.js";
 import { Refused, ask, sleep } from "./server.js";
 
 const PERIOD_MS = 500;
+const REFUSED_MS = 10000; // for so long it is said why a command was refused
 const ANSWER_MS = 5000; // a server that takes longer to answer counts as lost
+const MAY_BE_LIT = "Laser: it may still be lit: switch it off at its supply.";
 const REOPENS = " – Go, Start and Resume open it again by themselves.";
 
 let state = null;
 let seenAt = null; // Date when the camera gave its last picture
 let queue = Promise.resolve(); // commands one after the other, each from the state the last left
+let refusedAt = 0; // when the last command was refused, ms
 let obeyed = 0; // commands answered so far
 
 /** What the server last said; null before its first answer. */
@@ -26,9 +29,10 @@ function showLive(live) {
   write($("since"), live ? "" : when);
 }
 
-/** No answer: nothing can be asked for, and the picture is an old one. */
+/** No answer: nothing can be asked for, the picture is an old one, and the laser as it was. */
 function lost(error) {
   disconnected(error);
+  if (state?.laser === "on") complain("laser", MAY_BE_LIT);
   disableButtons();
   showLive(false);
 }
@@ -51,6 +55,8 @@ function showState(answer) {
   write($("task"), [task.name, task.message].filter(Boolean).join(": "));
   showScan(state);
   showButtons(state);
+  if (Date.now() > refusedAt + REFUSED_MS) complain("command", "");
+  complain("laser", state.laser_warning && MAY_BE_LIT);
   complain("camera", camera.error && `Camera: ${camera.error}`);
   complain("track", track.error && `Track: ${track.error}${REOPENS}`);
   const { scan } = state;
@@ -67,8 +73,10 @@ export function command(path, body = () => ({})) {
       showState(await answer.json());
       obeyed += 1;
     } catch (error) {
-      if (error instanceof Refused) complain("command", error.message, error.byDevice);
-      else lost(error);
+      if (error instanceof Refused) {
+        complain("command", error.message, error.byDevice);
+        refusedAt = Date.now();
+      } else lost(error);
     }
   });
 }

@@ -146,6 +146,13 @@ def named(*numbers):
     return getaddrinfo
 
 
+def test_it_is_said_who_can_move_the_track_and_who_can_read_the_token() -> None:
+    assert "every user of this machine" in grant("127.0.0.1", 80, None).remark
+    own, all_of_it = (grant(host, 80, "correct-horse").remark for host in ("::1", "0.0.0.0"))
+    assert own == "everybody with this address can move the track"
+    assert all_of_it == f"{own}, and plain HTTP shows it to the network between"
+
+
 def test_everywhere_has_an_address_for_each_number_and_the_name_last(monkeypatch):
     """Debian gives a machine's name 127.0.1.1; fe80:: needs an interface that no browser takes."""
     numbers = ("127.0.1.1", "198.51.100.4", "203.0.113.9", "::1", "fe80::1%eth0", "2001:db8::7")

@@ -228,8 +228,8 @@ def test_a_scan_by_the_buttons(fresh: Page) -> None:
 def test_the_state_is_as_agreed(page: Page) -> None:
     state = page.http.get("/api/state").json()
     assert set(state) == {
-        "rig", "source", "camera", "track", "can_switch_laser", "laser", "calibration",
-        "board", "mode", "plan", "scan", "task",
+        "rig", "source", "camera", "track", "can_switch_laser", "laser", "laser_warning",
+        "calibration", "board", "mode", "plan", "scan", "task",
     }  # fmt: skip
     assert state["rig"] == "Prüfstand"
     camera = state["camera"]
@@ -453,6 +453,7 @@ def test_a_signal_ends_the_scan_after_its_frame(tmp_path: Path, number: int) -> 
     ) as process:
         assert process.stdout is not None
         address = process.stdout.readline().split()[0]
+        remark = process.stdout.readline()
         own = {"origin": address.rstrip("/")}
         answer = httpx.post(f"{address}api/scan/start", json={}, headers=own, timeout=LONG_S)
         assert answer.status_code == 200
@@ -462,6 +463,7 @@ def test_a_signal_ends_the_scan_after_its_frame(tmp_path: Path, number: int) -> 
         process.send_signal(number)
         out, err = process.communicate(timeout=LONG_S)
     assert (process.returncode, err) == (0, "")
+    assert remark.startswith("every user of this machine can move the track; --token keeps")
     folder = output / "scan-001"
     assert out.splitlines() == [
         "track closed",

@@ -390,6 +390,24 @@ def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_shown(
         wait_for(lambda: not session.state()["camera"]["gone"])
 
 
+def test_what_was_wrong_before_a_scan_is_not_said_through_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A camera shown by its grabs alone is not looked at beside the scan's."""
+    track = GatedTrack(gate=threading.Semaphore(0))
+    with live_bench(monkeypatch, tmp_path, track) as bench:
+        session = bench.open()
+        session._task_message = "no board was found"
+        session.start_scan("a")
+        wait_for(lambda: session._devices._scanning)
+        session._devices.camera_error = "no picture"  # of a look that ended just then
+        track.gate.release(2)
+        wait_for(lambda: session.state()["scan"]["done"] == 2)
+        state = session.state()
+        assert state["scan"]["state"] == "scanning"
+        assert (state["task"]["message"], state["camera"]["error"]) == ("", "")
+
+
 def test_a_scan_that_a_device_ended_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
