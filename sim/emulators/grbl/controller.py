@@ -182,7 +182,8 @@ class GrblEmulator(EmulatedController):
             self._critical or self._homing or self._held or self._suspended
         ):
             text = clean(self._pending[0])
-            if len(self._planner) >= PLANNED or (len(self._planner) and "M" in text):
+            waits = "M" in text and not self._planner.jogging  # then it is refused
+            if len(self._planner) >= PLANNED or (len(self._planner) and waits):
                 return
             self._pending.popleft()
             try:
