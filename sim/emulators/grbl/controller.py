@@ -226,7 +226,7 @@ class GrblEmulator(EmulatedController):
         elif text == "#":
             self._parameters()
         elif text == "G":
-            self._say(self._modes.words())
+            self._say(self._modes.words(bool(self.settings[13])))
         elif text not in ("$", "I", "X", "H") and "=" not in text:
             raise GcodeError(3)
         elif self._state() not in ("Idle", "Alarm"):

@@ -63,13 +63,14 @@ class Modes:
     offset_mm: Place = (0.0, 0.0, 0.0)
     firmware: Firmware = GRBL
 
-    def words(self) -> str:
-        """The state as the answer to ``$G``."""
+    def words(self, inches: bool) -> str:
+        """The state as the answer to ``$G``; inches: $13, which F follows."""
+        feed = f"{self.feed_mm_min / INCH_MM:.1f}" if inches else f"{self.feed_mm_min:.0f}"
         own, point = self.firmware.modes, "." if self.firmware.modes else ""
         shifted = " G92" if own and any(self.offset_mm) else ""
         return (
             f"[GC:G{self.motion} G54{shifted} G17 G{self.units} G{self.distance} G94{own} "
-            f"M{self.spindle} M9 T{self.tool} F{self.feed_mm_min:.0f} S{self.speed:.0f}{point}]"
+            f"M{self.spindle} M9 T{self.tool} F{feed} S{self.speed:.0f}{point}]"
         )
 
     def after_reset(self) -> Self:

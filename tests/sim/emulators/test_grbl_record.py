@@ -1,4 +1,4 @@
-"""The emulated controllers against what real firmware answered, as docs/reference/drivers.md has it."""
+"""The emulated controllers against what real firmware answered: docs/reference/drivers.md."""
 
 import re
 
