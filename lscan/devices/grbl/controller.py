@@ -155,11 +155,12 @@ class GrblMachine:
             return
         try:
             self._dialogue.query("M5")
-        except DeviceError:
+        except DeviceError as error:
             self._link.send_bytes(SOFT_RESET)
             if not self._has_banner(self._options.answer_s):
                 raise
             self._dialogue.lost = True
+            _log.warning("a soft reset has put the laser out, and lost the zero: %s", error)
 
     def stop(self) -> None:
         """Cancel a jog, wait until it has come to rest, and see that lines are taken again."""
