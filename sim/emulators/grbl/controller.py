@@ -29,6 +29,15 @@ class GrblEmulator(EmulatedController):
     _faults, _generator = NO_FAULTS, np.random.default_rng(0)
 
     def __init__(self, *machine: Any, firmware: Firmware = GRBL, **more: Any) -> None:
+        """Switch it on.
+
+        Parameters
+        ----------
+        machine, more
+            As of any emulated controller.
+        firmware : Firmware
+            What it runs.
+        """
         self.firmware = firmware
         super().__init__(*machine, **more)
 
