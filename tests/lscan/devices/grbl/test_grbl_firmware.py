@@ -217,6 +217,27 @@ def test_a_board_that_starts_twice_is_opened(again_s: float) -> None:
     assert track.move_to(2.0) == 2.0
 
 
+@pytest.mark.parametrize("starts", [1, 2])
+def test_a_board_that_starts_again_when_it_is_asked_is_opened_once_more(starts: int) -> None:
+    d = desk()
+
+    class StartingAgain(DirectLine):
+        left = starts
+
+        def write(self, data: bytes) -> int:
+            if data == b"$$\n" and self.left:
+                self.left -= 1
+                d.emulator.inject(Faults(restart=True))
+            return super().write(data)
+
+    d.line = StartingAgain(d.emulator, d.time)
+    if starts == 1:
+        assert d.open().move_to(2.0) == 2.0
+    else:
+        with pytest.raises(DeviceError, match="the controller has restarted"):
+            d.open()
+
+
 def test_a_second_start_drops_the_mark_that_was_found() -> None:
     d = desk(said=True)
     first = d.open(boot_s=0.1)
@@ -316,7 +337,8 @@ def test_one_left_suspended_by_a_killed_program_is_opened_with_its_zero() -> Non
     d = desk(said=True)
     zero = d.open(boot_s=0.1).zero
     d.emulator.inject(Faults(late_cancel=True))
-    d.emulator.receive(b"$J=G53X5F500\n\x85")
+    d.emulator.receive(b"$J=G53X5F500\n")
+    d.emulator.receive(b"\x85")
     d.time.sleep(5)
     d.emulator.inject(Faults())
     track = d.open(boot_s=0.1)
