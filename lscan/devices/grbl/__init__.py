@@ -49,7 +49,7 @@ def open_track(
     """
     name = f"{options.dialect} track on {options.port}"
     if transport is None:
-        transport = open_serial(options.port, options.baud, name, options.write_s)
+        transport = open_serial(options.port, options.baud, name, options.write_s, options.dtr)
     link = Link(transport, name, clock, sleep, options.write_s)
     kind = GrblMachine if options.dialect == "grbl" else MarlinMachine
     return SerialTrack(kind(link, options), options, link)
@@ -60,7 +60,9 @@ class SerialTrackDriver(TravelDriver[SerialTrackOptions]):
 
     model, slack_mm = SerialTrackOptions, ROUNDING_MM
     switches_laser = True
-    connection_options = frozenset({"port", "baud", "boot_s", "answer_s", "homing_s", "write_s"})
+    connection_options = frozenset(
+        {"port", "baud", "dtr", "boot_s", "answer_s", "homing_s", "write_s"}
+    )
 
     def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """How it is reached, its travel, and whether it homes."""

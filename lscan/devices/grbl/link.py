@@ -9,7 +9,7 @@ from typing import Final, Protocol
 from lscan.errors import DeviceError
 
 LONGEST_LINE: Final = 70  # Grbl 1.1's own limit is 80 with the line end, Marlin's 96
-LONGEST_ANSWER: Final = 256  # no documented line is near as long; more without an end is noise
+LONGEST_ANSWER: Final = 1024  # Marlin's M115 takes some 300; more without an end is noise
 
 
 class Transport(Protocol):
@@ -29,17 +29,21 @@ class Transport(Protocol):
         """Release the port."""
 
 
-def open_serial(port: str, baud: int, name: str, write_s: float) -> Transport:
+def open_serial(port: str, baud: int, name: str, write_s: float, dtr: bool = True) -> Transport:
     """The serial port, opened for this program alone; DeviceError where it cannot be.
 
-    write_s: how long it may take to accept what is sent.
+    write_s: how long it may take to accept what is sent.  dtr: whether its lines DTR and RTS are
+    raised while it is open.
     """
     try:
         import serial
     except ImportError:
         raise DeviceError(f"{name}: needs the package pyserial; install it") from None
     try:
-        return serial.Serial(port, baud, timeout=0.01, write_timeout=write_s, exclusive=True)
+        line = serial.Serial(None, baud, timeout=0.01, write_timeout=write_s, exclusive=True)
+        line.port, line.dtr, line.rts = port, dtr, dtr  # before it opens: that would raise both
+        line.open()
+        return line
     except (OSError, ValueError) as error:
         raise DeviceError(
             f"{name}: {port!r} cannot be opened at {baud} baud: {error}; check the cable, the "

@@ -31,6 +31,10 @@ class Unanswered(DeviceError):
     """A line was not answered, or not readably: where it changes nothing, it can be sent again."""
 
 
+class Restarted(DeviceError):
+    """The controller started anew, so that what it counted is lost."""
+
+
 @dataclass(frozen=True)
 class AxisTravel:
     """What a controller says of its axis, in machine coordinates.
@@ -75,10 +79,14 @@ class Exchange(ABC, Generic[Said]):
         no answer comes.  Raises Unanswered where it is refused or unanswered, DeviceError where
         the position is lost.
         """
-        answers: list[Said] = []
         self.drain()
-        deadline_s = self.link.clock() + (self._answer_s if within_s is None else within_s)
         self.link.send(text)
+        return self.answers(text, within_s, first)
+
+    def answers(self, text: str, within_s: float | None = None, first: str = "") -> list[Said]:
+        """As ``command``, of a line that was sent before."""
+        answers: list[Said] = []
+        deadline_s = self.link.clock() + (self._answer_s if within_s is None else within_s)
         while (said := self.following(deadline_s)) is not None:
             if self.ends(said, text):
                 return answers
@@ -94,11 +102,11 @@ class Exchange(ABC, Generic[Said]):
         while self.following(self.link.clock()) is not None:
             pass
 
-    def restarted(self) -> DeviceError:
+    def restarted(self) -> Restarted:
         """The error that says so; the position is lost from here on."""
         self.lost = True
         mend = "home" if self.homes else "put the head back by hand"
-        return DeviceError(
+        return Restarted(
             f"{self.link.name}: the controller has restarted, so its position is lost; check "
             f"its power and the USB cable, {mend}, and open the track again"
         )

@@ -18,11 +18,18 @@ STEP_MM: Final = 0.01
 """M114 writes two decimals."""
 
 _JAM: Final = "check for a jam, "
-_OTHER_DIALECT: Final = "where the controller runs Grbl, set track.options.dialect = 'grbl'; "
+_OTHER_DIALECT: Final = (
+    "where the controller runs Grbl, set track.options.dialect = 'grbl'; where the port's DTR line "
+    "holds the board in reset, track.options.dtr = false; "
+)
 
 _FIRMWARE = re.compile(r"FIRMWARE_NAME:(Marlin.*?)(?= [A-Z_]+:|$)")
 _REPORT = re.compile(r"X:(-?\d+\.\d+) Y:(-?\d+\.\d+) Z:(-?\d+\.\d+)(?: .*)?")
 """The position in mm; "Count" and what follows are motor steps."""
+
+
+class Lacking(DeviceError):
+    """The firmware was built without a command."""
 
 
 class MarlinExchange(Exchange[str]):
@@ -39,7 +46,7 @@ class MarlinExchange(Exchange[str]):
                 "and open the track again"
             )
         if text.startswith("echo:Unknown command"):
-            raise DeviceError(f"{name}: {text[:80]!r}; the firmware lacks this command")
+            raise Lacking(f"{name}: {text[:80]!r}; the firmware lacks this command")
         if text == "start":
             raise self.restarted()
         return text
@@ -65,7 +72,7 @@ class MarlinMachine:
         return self.zero == zero
 
     def wake(self) -> AxisTravel:
-        """Wait for ``start``, ask for the firmware's name, choose mm and absolute positions.
+        """Wait for ``start``, ask for the firmware's name, put the laser out, choose mm.
 
         What a killed program left moving is waited for: M410 stops it too, but loses steps.
         """
@@ -83,6 +90,10 @@ class MarlinMachine:
                 "dialect, or check port and baud rate"
             )
         self._firmware = firmware[1]
+        try:  # a program that was killed leaves the laser lit
+            self._command("M5", options.homing_s, _JAM)
+        except Lacking:
+            self._exchange.answers("M5")  # its ok
         self._command("M400", options.homing_s, _JAM)
         self._command("G21")
         self._command("G90")

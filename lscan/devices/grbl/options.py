@@ -14,8 +14,9 @@ ROUNDING_MM: Final = 0.0005
 class SerialTrackOptions(TravelOptions):
     """The track's port, its frame and how it moves.
 
-    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``.  min_mm, max_mm: positions the head
-    may be sent to; the approach needs ``approach_mm`` of free way below min_mm.
+    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``.  dtr: whether its lines DTR and RTS
+    are raised while it is open, which holds some boards in reset.  min_mm, max_mm: positions the
+    head may be sent to; the approach needs ``approach_mm`` of free way below min_mm.
     zero_mm: the machine coordinate where the position is 0; invert: positions grow where
     machine coordinates fall.  approach_mm: every position is reached upwards, over at least
     this way, so that backlash is taken up; 0: from wherever the head stands.
@@ -29,6 +30,7 @@ class SerialTrackOptions(TravelOptions):
 
     port: Annotated[str, Field(min_length=1)]
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115_200
+    dtr: bool = True
     dialect: Literal["grbl", "marlin"] = "grbl"
     axis: Literal["X", "Y", "Z"] = "X"
     min_mm: Place

@@ -41,7 +41,18 @@ class Alarm:
 class Banner:
     """``Grbl 1.1h ['$' for help]``: the controller has just started."""
 
+    firmware: str
     version: str
+
+    @property
+    def number(self) -> tuple[int, ...]:
+        """The version's numbers, such as (1, 1)."""
+        return tuple(map(int, re.findall(r"\d+", self.version)))
+
+    @property
+    def is_documented(self) -> bool:
+        """Whether it numbers itself as Grbl 1.1; FluidNC and Grbl_ESP32 go by 3 and 1.3."""
+        return self.number == (1, 1)
 
 
 @dataclass(frozen=True)
@@ -87,7 +98,7 @@ _FORMS: dict[str, Callable[..., Message]] = {
     r"ok": Ok,
     r"error:(\d{1,3})": lambda code: Refusal(int(code)),
     r"ALARM:(\d{1,3})": lambda code: Alarm(int(code)),
-    r"Grbl (\d+\.\d+\w?)(?: \[.*\])?": Banner,
+    r"(Grbl(?:HAL)?) (\d+\.\d+\w?)(?: \[.*\])?": Banner,
     rf"\$(\d{{1,3}})=({_NUMBER})": lambda number, value: GrblSetting(int(number), float(value)),
     r"\[(\w+):(.*)\]": Feedback,
     r"(>)(.*:ok)": Feedback,
@@ -113,7 +124,7 @@ _FIELDS = {
     **dict.fromkeys(("F", "Ln"), _NUMBER),
     **dict.fromkeys(("FS", "Bf"), rf"{_NUMBER},{_NUMBER}"),
     "Ov": rf"{_NUMBER},{_NUMBER},{_NUMBER}",
-    **dict.fromkeys(("Pn", "A"), "[A-Za-z]+"),
+    **dict.fromkeys(("Pn", "A"), "[A-Za-z]*"),  # grblHAL says A: where nothing is on
 }
 """The documented fields of a report by their names, and what their values look like."""
 

@@ -173,7 +173,7 @@ class SerialTrack:
         why = (
             "Marlin does not report whether it restarted in between"
             if self._options.dialect == "marlin"
-            else "the controller was restarted, reset or in alarm in between"
+            else "the controller was restarted, reset or in alarm in between, or used otherwise"
         )
         return (
             f"{why}. Without homing {start_mm:g} mm is where the head stands when the controller "

@@ -1,4 +1,4 @@
-"""A linear track whose controller answers as Grbl 1.1 does, written from its documentation.
+"""A linear track whose controller answers as Grbl 1.1 or a relative does, or as Marlin.
 
 ``GrblEmulator`` is the controller and the axes, ``DirectLine`` a serial line to it in simulated
 time, ``PseudoTerminal`` one that any program opens as a serial port, ``Faults`` what goes wrong.
@@ -7,12 +7,19 @@ time, ``PseudoTerminal`` one that any program opens as a serial port, ``Faults``
 from sim.emulators.grbl.controller import GrblEmulator
 from sim.emulators.grbl.line import DirectLine, Faults, PseudoTerminal, SimulatedTime
 from sim.emulators.grbl.marlin import MarlinEmulator
+from sim.emulators.grbl.modes import FLUIDNC, GRBL, GRBL_ESP32, GRBLHAL, GRBLHAL_AS_GRBL, Firmware
 from sim.emulators.grbl.settings import DEFAULTS
 
 __all__ = [
     "DEFAULTS",
+    "FLUIDNC",
+    "GRBL",
+    "GRBLHAL",
+    "GRBLHAL_AS_GRBL",
+    "GRBL_ESP32",
     "DirectLine",
     "Faults",
+    "Firmware",
     "GrblEmulator",
     "MarlinEmulator",
     "PseudoTerminal",

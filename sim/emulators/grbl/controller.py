@@ -1,31 +1,45 @@
-"""The emulated controller: Grbl 1.1's states, answers and three axes.
+"""The emulated controller: Grbl 1.1's states, answers and three axes, or those of its relatives.
 
-Source: Grbl 1.1 documentation, "Interface Basics", "Commands" and "Jogging".  Left out: arcs,
-probing, coolant, start-up lines, overrides (their bytes are taken and ignored), check mode,
-sleep, door; homing goes to the switches at once and stands off by $27.
+Source: Grbl 1.1 documentation, "Interface Basics", "Commands" and "Jogging", and what firmware
+was recorded to answer (docs/reference/drivers.md).  Left out: arcs, probing, coolant, start-up
+lines, overrides (their bytes are taken and ignored), check mode, sleep, door; homing goes to the
+switches at once and stands off by $27.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from sim.emulators.grbl.gcode import LONGEST, GcodeError, clean, parse_block
 from sim.emulators.grbl.line import NO_FAULTS, Faults, garbled
 from sim.emulators.grbl.machine import EmulatedController
-from sim.emulators.grbl.modes import INCH_MM, Modes
+from sim.emulators.grbl.modes import GRBL, INCH_MM, Firmware, Modes
 from sim.emulators.grbl.settings import change_setting, coordinates, setting_lines
 
-BANNER = "Grbl 1.1h ['$' for help]"
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 PLANNED = 15  # blocks the planner holds
 
 
 class GrblEmulator(EmulatedController):
-    """A controller with Grbl, and what goes wrong with it."""
+    """A controller with Grbl or one of its relatives, and what goes wrong with it."""
 
     line_end = b"\r\n"
 
     _faults, _generator = NO_FAULTS, np.random.default_rng(0)
+
+    def __init__(self, *machine: Any, firmware: Firmware = GRBL, **more: Any) -> None:
+        """Switch it on.
+
+        Parameters
+        ----------
+        machine, more
+            As of any emulated controller.
+        firmware : Firmware
+            What it runs.
+        """
+        self.firmware = firmware
+        super().__init__(*machine, **more)
 
     @property
     def state(self) -> str:
@@ -105,17 +119,18 @@ class GrblEmulator(EmulatedController):
     # ---- states -------------------------------------------------------------------------
 
     def _power_up(self) -> None:
-        self._alarm = bool(self.settings[22])
+        self._alarm, self._modes = bool(self.settings[22]), Modes(firmware=self.firmware)
         self._start()
 
     def _start(self) -> None:
         """Begin anew, as after a reset: motion forgotten, alarm kept."""
-        self._homing = self._held = self._critical = False
-        self._modes = Modes()
+        self._homing = self._held = self._suspended = False
+        self._critical = 0
+        self._modes = self._modes.after_reset()
         self._reports = 0
         self._pending.clear()
         self._line.clear()
-        self._say("", BANNER)
+        self._say("", self.firmware.banner)
         if self._alarm:
             self._say("[MSG:'$H'|'$X' to unlock]")
 
@@ -124,12 +139,15 @@ class GrblEmulator(EmulatedController):
         if self._planner.halt(self._last_s):
             self._alarm = True
             self._say("ALARM:6" if homing else "ALARM:3")
+        if self._critical == 2:
+            self._say("ok")  # of the line whose target lay beyond the soft limits
         self._start()
 
     def _lock(self, code: int) -> None:
-        """A critical alarm: everything stops, and only a reset is heard."""
+        """A critical alarm: everything stops, the spindle too, and only a reset is heard."""
         self._planner.halt(self._last_s)
-        self._alarm = self._critical = True
+        self._modes.spindle = 5
+        self._alarm, self._critical = True, code
         self._held = self._homing = False
         self._say(f"ALARM:{code}", "[MSG:Reset to continue]")
 
@@ -153,13 +171,15 @@ class GrblEmulator(EmulatedController):
         elif byte == ord("?"):
             if not self._homing:
                 self._report()
+        elif byte == 0x85 and self._planner.jogging and self._acting.late_cancel:
+            self._suspended = True
         elif byte == ord("!") or (byte == 0x85 and self._planner.jogging):
             if not self._homing and not self._alarm:
                 self._planner.brake(self._last_s)
                 self._held = True
         elif byte == ord("~"):
-            if self._held and not self._planner.moving:
-                self._held = False
+            if not self._planner.moving:
+                self._held = self._suspended = False
                 self._planner.resume(self._last_s)
         elif byte in (10, 13):
             self._end_line()
@@ -167,9 +187,12 @@ class GrblEmulator(EmulatedController):
             self._line.append(byte)
 
     def _process(self) -> None:
-        while self._pending and not self._critical and not self._homing and not self._held:
+        while self._pending and not (
+            self._critical or self._homing or self._held or self._suspended
+        ):
             text = clean(self._pending[0])
-            if len(self._planner) >= PLANNED or (len(self._planner) and "M" in text):
+            waits = "M" in text and not self._planner.jogging  # then it is refused
+            if len(self._planner) >= PLANNED or (len(self._planner) and waits):
                 return
             self._pending.popleft()
             try:
@@ -212,13 +235,13 @@ class GrblEmulator(EmulatedController):
         elif text == "#":
             self._parameters()
         elif text == "G":
-            self._say(self._modes.words())
+            self._say(self._modes.words(bool(self.settings[13])))
         elif text not in ("$", "I", "X", "H") and "=" not in text:
             raise GcodeError(3)
         elif self._state() not in ("Idle", "Alarm"):
             raise GcodeError(8)
         elif text == "$":
-            self._say(*setting_lines(self.settings))
+            self._say(*setting_lines(self.settings, self.firmware.silent_settings))
         elif text == "I":
             self._say("[VER:1.1h.20190830:]", "[OPT:V,15,128]")
         elif text == "X":

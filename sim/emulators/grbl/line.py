@@ -32,6 +32,7 @@ class Faults:
     slow : float, how many times longer a motion takes
     restart : bool, the supply dips; the controller starts anew and takes where it stands for zero
     quietly : bool, the banner of that restart is lost
+    late_cancel : bool, a jog is cancelled as it ends, which leaves Grbl suspended until a "~"
     unplug : bool, the line breaks
     """
 
@@ -45,6 +46,7 @@ class Faults:
     slow: float = 1.0
     restart: bool = False
     quietly: bool = False
+    late_cancel: bool = False
     unplug: bool = False
 
 

@@ -1,7 +1,7 @@
 """An emulated controller that answers as Marlin does, as far as a track asks.
 
 Source: Marlin's G-code reference, pages G0-G1, G20, G21, G28, G90, G91, M3, M5, M114, M115,
-M400, M410, and its host keepalive.
+M400, M410, its host keepalive, and what it was recorded to answer (docs/reference/drivers.md).
 """
 
 from sim.emulators.grbl.gcode import GcodeError, clean, parse_block
@@ -9,14 +9,17 @@ from sim.emulators.grbl.machine import EmulatedController
 from sim.emulators.grbl.modes import Modes
 
 KEEPALIVE_S = 2.0
+VERSION = "bugfix-2.1.x"
 
 
 class MarlinEmulator(EmulatedController):
-    """A controller with Marlin."""
+    """A controller with Marlin.  machine_type: as its firmware was configured."""
+
+    machine_type = "Track"
 
     def _power_up(self) -> None:
         self._modes = Modes(feed_mm_min=600.0)
-        self._say("start", "echo:Marlin 2.1.2")
+        self._say("start", f"Marlin {VERSION}")
 
     def _update(self) -> None:
         self._last_s = self._clock()
@@ -50,7 +53,12 @@ class MarlinEmulator(EmulatedController):
             self._start_homing()
             return
         if text == "M115":
-            self._say("FIRMWARE_NAME:Marlin 2.1.2 PROTOCOL_VERSION:1.0 MACHINE_TYPE:Track")
+            self._say(
+                f"FIRMWARE_NAME:Marlin {VERSION} (Dec 19 2022 12:00:00) SOURCE_CODE_URL:github.com/"
+                f"MarlinFirmware/Marlin PROTOCOL_VERSION:1.0 MACHINE_TYPE:{self.machine_type} "
+                "EXTRUDER_COUNT:1 UUID:cede2a2f-41a2-4748-9b12-c55c62f367ff",
+                "Cap:SERIAL_XON_XOFF:0",
+            )
         elif text == "M114":
             x, y, z = self._axes.counted_mm(self._last_s)
             self._say(f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 Count X:{x * 80:.0f} Y:0 Z:0")

@@ -1,13 +1,47 @@
 """What a G-code controller keeps from line to line: its modal state, and how it reads targets."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, Self
 
 from sim.emulators.grbl.gcode import GcodeBlock, GcodeError
 from sim.emulators.grbl.motion import Place
 
 INCH_MM = 25.4
 AXES = "XYZ"
+
+
+@dataclass(frozen=True)
+class Firmware:
+    """What a firmware of Grbl's family answers where they differ.
+
+    Attributes
+    ----------
+    banner : str, what it says when it starts
+    tool : how long a T word lasts: for its line, until a reset, over a reset, or until the M6 that
+        this emulator lacks never
+    keeps_offset : bool, whether G92 lasts over a reset
+    modes : str, words of ``$G`` that only this firmware has
+    silent_settings : frozenset of int, numbers that ``$$`` does not list
+    """
+
+    banner: str
+    tool: Literal["line", "session", "always", "never"] = "session"
+    keeps_offset: bool = False
+    modes: str = ""
+    silent_settings: frozenset[int] = frozenset()
+
+
+GRBL = Firmware("Grbl 1.1h ['$' for help]", tool="line")
+GRBLHAL = Firmware(
+    "GrblHAL 1.1f ['$' or '$HELP' for help]", "never", keeps_offset=True, modes=" G40 G49 G98 G50"
+)
+GRBLHAL_AS_GRBL = replace(GRBLHAL, banner="Grbl 1.1f ['$' for help]", tool="always")
+GRBL_ESP32 = Firmware("Grbl 1.3a ['$' for help]")
+FLUIDNC = Firmware(
+    "Grbl 3.7 [FluidNC v3.7.17 (wifi) '$' for help]",
+    silent_settings=frozenset({*range(7), 11, 12, 13, *range(24, 28), 31}),
+)
 
 
 @dataclass
@@ -27,13 +61,26 @@ class Modes:
     spindle: int = 5
     tool: int = 0
     offset_mm: Place = (0.0, 0.0, 0.0)
+    firmware: Firmware = GRBL
 
-    def words(self) -> str:
-        """The state as the answer to ``$G``."""
+    def words(self, inches: bool) -> str:
+        """The state as the answer to ``$G``; inches: $13, which F follows."""
+        feed = f"{self.feed_mm_min / INCH_MM:.1f}" if inches else f"{self.feed_mm_min:.0f}"
+        own, point = self.firmware.modes, "." if self.firmware.modes else ""
+        shifted = " G92" if own and any(self.offset_mm) else ""
         return (
-            f"[GC:G{self.motion} G54 G17 G{self.units} G{self.distance} G94 "
-            f"M{self.spindle} M9 T{self.tool} F{self.feed_mm_min:.0f} S{self.speed:.0f}]"
+            f"[GC:G{self.motion} G54{shifted} G17 G{self.units} G{self.distance} G94{own} "
+            f"M{self.spindle} M9 T{self.tool} F{feed} S{self.speed:.0f}{point}]"
         )
+
+    def after_reset(self) -> Self:
+        """The state after a reset."""
+        kept = type(self)(firmware=self.firmware)
+        if self.firmware.tool == "always":
+            kept.tool = self.tool
+        if self.firmware.keeps_offset:
+            kept.offset_mm = self.offset_mm
+        return kept
 
     def unit_mm(self, block: GcodeBlock) -> float:
         """Millimetres in a unit of the block's numbers."""
@@ -68,7 +115,9 @@ class Modes:
         self.units = block.codes.get("units", self.units)
         self.spindle = block.codes.get("spindle", self.spindle)
         self.speed = block.words.get("S", self.speed)
-        self.tool = int(block.words.get("T", self.tool))
+        if self.firmware.tool != "never":
+            held = 0 if self.firmware.tool == "line" else self.tool
+            self.tool = int(block.words.get("T", held))
 
     def shift(self, block: GcodeBlock, place_mm: Place) -> None:
         """G92: the present machine place gets the block's numbers as work coordinates."""

@@ -1,12 +1,12 @@
 """Grbl's ``$`` settings, and numbers as it writes them."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from sim.emulators.grbl.gcode import GcodeError
 
 DEFAULTS: Mapping[int, float] = {
-    **{0: 10, 1: 25, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0},
+    **{0: 10, 1: 255, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0},
     **{20: 1, 21: 0, 22: 1, 23: 0, 24: 25, 25: 500, 26: 250, 27: 1, 30: 1000, 31: 0, 32: 0},
     **{100: 250, 101: 250, 102: 250, 110: 3000, 111: 3000, 112: 3000},
     **{120: 200, 121: 200, 122: 200, 130: 200, 131: 200, 132: 200},
@@ -14,11 +14,12 @@ DEFAULTS: Mapping[int, float] = {
 _WHOLE = frozenset(range(7)) | {10, 13, 20, 21, 22, 23, 26, 30, 31, 32}
 
 
-def setting_lines(settings: Mapping[int, float]) -> list[str]:
-    """The answer to ``$$``."""
+def setting_lines(settings: Mapping[int, float], silent: Collection[int] = ()) -> list[str]:
+    """The answer to ``$$``, without the numbers that the firmware is silent on."""
     return [
         f"${number}={value:.0f}" if number in _WHOLE else f"${number}={value:.3f}"
         for number, value in sorted(settings.items())
+        if number not in silent
     ]
 
 

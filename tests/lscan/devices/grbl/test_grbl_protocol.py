@@ -28,7 +28,7 @@ from lscan.errors import DeviceError
         ("ok", Ok()),
         ("error:15", Refusal(15)),
         ("ALARM:9", Alarm(9)),
-        ("Grbl 1.1h ['$' for help]", Banner("1.1h")),
+        ("Grbl 1.1h ['$' for help]", Banner("Grbl", "1.1h")),
         ("$110=500.000", GrblSetting(110, 500.0)),
         ("$10=255", GrblSetting(10, 255.0)),
         ("[MSG:Reset to continue]", Feedback("MSG", "Reset to continue")),

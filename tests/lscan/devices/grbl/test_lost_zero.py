@@ -126,7 +126,7 @@ def test_an_alarm_met_in_a_scan_is_kept_in_the_run(tmp_path: Path) -> None:
     with resume_run(tmp_path / "a", plant.rig_file) as writer, pytest.raises(DeviceError):
         acquire_into(writer, StillCamera(plant), track)
     kept = json.loads((tmp_path / "a" / MANIFEST).read_text())["track_zero"]
-    assert begun.startswith("T")
+    assert begun.startswith("F")
     assert kept == "lost"
 
 

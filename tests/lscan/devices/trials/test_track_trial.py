@@ -191,7 +191,7 @@ def test_noise_on_the_line_is_counted() -> None:
 
 def test_marlin_says_its_name_and_no_more_than_it_knows() -> None:
     facts = serial_track(dialect="marlin").describe()
-    assert facts["firmware"] == "Marlin 2.1.2"
+    assert facts["firmware"] == "Marlin bugfix-2.1.x (Dec 19 2022 12:00:00)"
     assert facts["travel_low_mm"] is facts["max_mm_min"] is facts["accel_mm_s2"] is None
     assert facts["step_mm"] == 0.01  # the last decimal of M114
     assert "state" not in facts
