@@ -10,7 +10,7 @@ import trimesh
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from lscan.files.meshes import MM_PER_UNIT, load_mesh
+from lscan.files.meshes import MM_PER_UNIT, UNREAD, load_mesh
 from sim.meshes.board import board_parts
 from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
 from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
@@ -98,6 +98,14 @@ def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
     if target.shape == "mesh":
         with _named(scene, "target.file"):
             mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit or "mm"])
+            if UNREAD in mesh.metadata:
+                raise InputError(
+                    "states a reflectance that is not read: take it out of the file, or colour "
+                    "the vertices or faces by it",
+                    where=target.file,
+                    value=mesh.metadata[UNREAD],
+                    allowed="colours of a PLY, OBJ or OFF file's vertices or faces",
+                )
         return [MeshPart("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.rough is not None:
         return [MeshPart("rough", rough_block_mesh(target.rough), albedo)]
