@@ -83,14 +83,7 @@ def read_ply(content: bytes) -> PolygonMesh:
     lists = [name for name in face.lengths if name in PLY_CORNERS] or list(face.lengths)
     if face.count and len(lists) != 1:
         raise InputError("has faces without a list of vertex_indices", value=list(face.types))
-    sizes = np.zeros(face.count, dtype=np.int64)
-    for part in tables.get("face", []):
-        sizes[part.rows] = part.values[lists[0]].shape[-1]
-    first = np.cumsum(sizes) - sizes
-    corners = np.empty(sizes.sum(), dtype=np.int64)
-    for part in tables.get("face", []):
-        own = part.values[lists[0]]
-        corners[first[part.rows, None] + np.arange(own.shape[-1])] = own
+    corners, sizes = _ply_lists(face.count, tables.get("face", []), "".join(lists))
     unread = [f"vertex property {name!r}" for name in PLY_LEVELS if name in vertex.types]
     unread += [f"face property {name!r}" for name in PLY_LEVELS if name in face.types]
     unread += [line for line in comments if line.lower().startswith("texturefile")]
@@ -209,6 +202,21 @@ def _column(element: PlyElement, parts: list[PlyRows], name: str) -> NDArray[np.
     for part in parts:
         column[part.rows] = part.values[name]
     return column
+
+
+def _ply_lists(count: int, parts: list[PlyRows], name: str) -> tuple[Ints, Ints]:
+    """The values of a list property, one row's after the other's, and (count,) how many each."""
+    sizes = np.zeros(count, dtype=np.int64)
+    for part in parts:
+        sizes[part.rows] = part.values[name].shape[-1]
+    if len(parts) == 1:
+        return parts[0].values[name].astype(np.int64).ravel(), sizes
+    first = np.cumsum(sizes) - sizes
+    values = np.empty(sizes.sum(), dtype=np.int64)
+    for part in parts:
+        own = part.values[name]
+        values[first[part.rows, None] + np.arange(own.shape[-1])] = own
+    return values, sizes
 
 
 def _ply_colours(element: PlyElement, parts: list[PlyRows]) -> Floats | None:

@@ -63,6 +63,8 @@ def triangles_of(mesh: PolygonMesh) -> tuple[Ints, Ints]:
     InputError
         Where a face crosses itself, seen along its mean normal.
     """
+    if (mesh.sizes == 3).all():
+        return mesh.corners.reshape(-1, 3), np.arange(len(mesh.sizes))
     first = np.cumsum(mesh.sizes) - mesh.sizes
     triangles, owners = [np.empty((0, 3), dtype=np.int64)], [np.empty(0, dtype=np.int64)]
     for size in np.unique(mesh.sizes[mesh.sizes >= 3]):
@@ -89,18 +91,14 @@ def _fans(rings: Ints) -> Ints:
 
 
 def _fan_covers(points: Floats) -> Mask:
-    """(M,) whether the fan from the first of (M, n, 3) corners is the face.
-
-    A triangle is; so is what has no area at all.
-    """
+    """(M,) whether the fan from the first of (M, n, 3) corners is the face; of a triangle it is."""
     arms = points[:, 1:] - points[:, :1]
     across = np.cross(arms[:, :-1], arms[:, 1:])
     if across.shape[1] == 1:
         return np.ones(len(points), dtype=bool)
-    normal = across.sum(axis=1)
-    area = np.einsum("mka,ma->mk", across, normal)
-    whole = area.sum(axis=1)
-    return (area > THIN * whole[:, None]).all(axis=1) | ~across.any(axis=(1, 2))
+    area = np.einsum("mka,ma->mk", across, across.sum(axis=1))
+    flat = ~across.any(axis=(1, 2))  # without any area: no cover is wrong
+    return np.asarray((area > THIN * area.sum(axis=1)[:, None]).all(axis=1) | flat)
 
 
 def _ears(vertices: Floats, ring: Ints, face: int) -> Ints:
