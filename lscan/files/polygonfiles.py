@@ -103,7 +103,7 @@ def _ply_header(content: bytes) -> tuple[dict[str, PlyElement], str, list[str], 
     ending = re.match(rb"ply[ \t]*(\r\n|\n|\r)", content)
     found = ending and re.search(rb"[\r\n]end_header[ \t]*" + ending[1], content)
     if not ending or not found:
-        raise InputError("has no PLY header: from 'ply' to 'end_header', a line each")
+        raise ValueError("no header from 'ply' to 'end_header'")
     elements: dict[str, PlyElement] = {}
     order, comments = "", []
     for line in content[ending.end() : found.start()].decode("latin-1").split(ending[1].decode()):
@@ -271,7 +271,7 @@ def read_off(content: bytes) -> PolygonMesh:
     text = re.sub(r"#.*", "", content.decode("latin-1"))
     head = re.match(r"\s*(?:ST)?(C?)(N?)OFF(?![A-Za-z])(?!\s+BINARY)", text)
     if not head:
-        raise InputError("has no header of a text in three dimensions", allowed="OFF, COFF, NOFF")
+        raise ValueError("no header OFF, COFF, NOFF or CNOFF of a text")
     lines = [words for words in map(str.split, text[head.end() :].splitlines()) if words]
     (count, faces), rows = map(int, lines[0][:2]), lines[1:]
     if min(count, faces) < 0 or len(rows) < count + faces:

@@ -17,7 +17,17 @@ from lscan.errors import InputError
 from sim.scene.boarderrors import STEEPEST, BoardErrors, TrueBoard
 from sim.scene.change import Change, check_changes
 from sim.scene.distortion import is_folded
-from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
+from sim.scene.instrument import (
+    Head,
+    Laser,
+    Lens,
+    PlanePort,
+    Port,
+    Seed,
+    Sensor,
+    TrueShaft,
+    response_at,
+)
 from sim.scene.matter import AmbientLight, Floor, Target, Water
 from sim.scene.poses import Pose, rotation, track_pose
 from sim.scene.trackerrors import TrackErrors
@@ -208,7 +218,7 @@ def scene_of(rig_file: RigFile) -> Scene:
     head = _on_its_shaft(tank.head, rig_file)
     scene = Scene(
         rig=rig_file.rig,
-        tank=tank.model_copy(update={"head": head}),
+        tank=tank.model_copy(update={"head": head, "sensor": _at_its_wavelength(tank)}),
         document=rig_file.document,
         source=rig_file.source,
     )
@@ -240,6 +250,14 @@ def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
     if true.arc_radius_mm is None:
         true = true.model_copy(update={"arc_radius_mm": stated.arc_radius_mm})
     return head.model_copy(update={"shaft": true})
+
+
+def _at_its_wavelength(tank: TankSections) -> Sensor:
+    """The sensor, with a webcam's response to the laser's wavelength where the file states none."""
+    if "laser_response" in tank.sensor.model_fields_set:
+        return tank.sensor
+    response = response_at(tank.laser.wavelength_nm)
+    return tank.sensor.model_copy(update={"laser_response": response})
 
 
 def _check_target(scene: Scene) -> None:
