@@ -17,7 +17,7 @@ from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
 from sim.meshes.rough import rough_block_mesh
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
-from sim.scene import Scene, target_pose
+from sim.scene import Scene, floor_corners_mm, target_pose
 from sim.scene.matter import Texture
 
 MARKS = "marks"  # the one part of a board that a texture leaves as it is
@@ -39,7 +39,7 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
     parts = [moved(part, pose) for part in target_parts(scene)]
     floor = scene.tank.floor
     if floor is not None:
-        square = plain_mesh(floor.corners_mm(), np.array([[0, 1, 2], [0, 2, 3]]))
+        square = plain_mesh(floor_corners_mm(scene), np.array([[0, 1, 2], [0, 2, 3]]))
         parts.append(MeshPart("floor", square, floor.albedo))
     return parts
 

@@ -53,6 +53,8 @@ class HeadFrame:
         """A place of the head's frame, mm, in the world."""
         x, y, z = self._axes
         return mi.Point3f(self._origin + x * place.x + y * place.y + z * place.z)
+
+
 # Standard deviations of the sheet: farther from its middle there is 4e-6 of the light there.
 END = 5.0
 
