@@ -334,5 +334,5 @@ def floor_corners_mm(scene: Scene) -> Floats:
     if np.abs(there[:, :2]).max() > FLOOR_BEYOND_MM / 2:
         low = np.minimum(low, there[:, :2].min(axis=0) - FLOOR_BEYOND_MM)
         high = np.maximum(high, there[:, :2].max(axis=0) + FLOOR_BEYOND_MM)
-    plan = [low, [high[0], low[1]], high, [low[0], high[1]]]
-    return np.column_stack([plan, np.full(4, scene.tank.floor.z_mm)])
+    x, y = np.stack([low, high])[[0, 1, 1, 0], 0], np.stack([low, high])[[0, 0, 1, 1], 1]
+    return np.column_stack([x, y, np.full(4, scene.tank.floor.z_mm)])
