@@ -68,8 +68,8 @@ def write_render(
     if samples is not None:
         check_samples(samples, scene.tank.render.fineness, where="--samples")
     at = at_moment(scene, 0, position_mm)
-    where = f"{scene.source}: render.samples" if samples is None else "--samples"
-    check_sampling(at.scene, at.position_mm, samples or scene.tank.render.samples, where)
+    if samples is not None:
+        check_sampling(at.scene, at.position_mm, samples, where="--samples")
     webcam = Webcam(at.scene)
     layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
