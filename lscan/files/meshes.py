@@ -5,9 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes
+from lscan.files.polygonfiles import read_obj, read_off, read_ply
+from lscan.files.polygons import PolygonMesh, triangles_of
+from lscan.records import Floats, Ints
 
 MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}
 """Of a mesh file, by its ending.  Text takes up to fifty times as much once it is read."""
@@ -18,11 +22,21 @@ FURTHEST_MM = 1e6
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4}
 
 
+MERGED_MM = 1e-8
+"""Vertices of one step of this length along each axis are one."""
+
+READERS = {"ply": read_ply, "obj": read_obj, "off": read_off}
+
+UNREAD = "unread"
+"""Key of a mesh's metadata: what its file says of reflectance that is not read."""
+
+
 def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     """The triangles of a mesh file, in mm.
 
-    Vertices that coincide are merged, unless the file colours them: two colours may meet
-    there.  Colours of faces are not read, nor are other files that the file names.
+    Vertices that coincide are merged, unless the file colours them: two colours may meet there.
+    Where it colours faces, each triangle has vertices of its own.  Other files that the file names
+    are not read; ``metadata["unread"]`` names them, and other reflectances that are not read.
 
     Parameters
     ----------
@@ -32,7 +46,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     Raises
     ------
     InputError
-        Where the file cannot be read or has no triangles.
+        Where the file cannot be read, has no triangles or a face that crosses itself.
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in MOST_BYTES:
@@ -42,27 +56,112 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if not content:
         raise InputError("is an empty file", where=path)
     try:
-        mesh = trimesh.load_mesh(
-            io.BytesIO(content),
-            file_type=kind,
-            process=False,
-            skip_materials=kind == "ply",  # else it looks for the picture that one names
-        )
-    except Exception as error:  # trimesh raises whatever its format readers raise
+        mesh = _read_stl(content) if kind == "stl" else _in_triangles(READERS[kind](content))
+    except InputError as error:
+        raise InputError(str(error), where=path) from error
+    except Exception as error:  # trimesh and NumPy raise whatever they do on what is no such file
         message = " ".join(f"is not a mesh that can be read: {error}".split())
         raise InputError(message, where=path) from error
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise InputError("holds no triangles", where=path)
-    if mesh.vertices.shape[1:] != (3,):
-        raise InputError("has vertices without three coordinates", where=path)
-    if not np.isfinite(mesh.vertices).all():
-        raise InputError("has vertices that are not finite", where=path)
-    mesh.apply_scale(mm_per_unit)
+    mesh.vertices *= mm_per_unit
     if np.abs(mesh.vertices).max() > FURTHEST_MM:
         allowed = f"{FURTHEST_MM:g} mm from the origin at most"
         raise InputError("has vertices too far away", where=path, allowed=allowed)
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise InputError("has triangles of vertices that are not there", where=path)
-    if mesh.visual.kind != "vertex":
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    if mesh.visual.kind == "vertex":
+        return mesh
+    vertices, faces = merged(mesh.vertices, mesh.faces)
+    return trimesh.Trimesh(vertices, faces, process=False, metadata=mesh.metadata)
+
+
+def merged(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
+    """The vertices that faces have, each place once, in their order, and the faces of them.
+
+    Parameters
+    ----------
+    vertices : (N, 3) array, mm; the same are those of one step of MERGED_MM
+    faces : (T, 3) array, indices of their vertices
+    """
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    if not used.all():
+        vertices, faces = vertices[used], (np.cumsum(used) - 1)[faces]
+    first, place = _first_of_equals(np.rint(vertices / MERGED_MM).astype(np.int64))
+    return vertices[first], place[faces]
+
+
+def _first_of_equals(rows: NDArray[np.integer]) -> tuple[Ints, Ints]:
+    """The first of all (N, 3) rows that are equal, and (N,) which of those each row equals.
+
+    Sorted by a hash, a column at a time: many millions take little memory.
+    """
+    key = np.zeros(len(rows), dtype=np.uint64)
+    for axis in range(3):
+        key ^= rows[:, axis].astype(np.uint64)
+        key *= np.uint64(0x9E3779B97F4A7C15)  # odd, its bits without a pattern: 2^64 / golden ratio
+        key ^= key >> np.uint64(29)
+    order = np.argsort(key)
+    new = np.ones(len(rows), dtype=bool)
+    new[1:] = key[order[1:]] != key[order[:-1]]
+    for axis in range(3):
+        own = rows[order, axis]
+        if ((own[1:] != own[:-1]) & ~new[1:]).any():  # two of one hash: once in 10^5 large meshes
+            _, first, place = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+            break
+    else:
+        first = np.minimum.reduceat(order, np.flatnonzero(new))
+        place = np.empty_like(order)
+        place[order] = np.cumsum(new) - 1
+    rank = np.empty_like(first)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return np.sort(first), rank[place]
+
+
+def _in_triangles(read: PolygonMesh) -> trimesh.Trimesh:
+    """The mesh that a file lists."""
+    if read.vertices.shape[1:] != (3,):
+        raise InputError("has vertices without three coordinates")
+    if len(read.corners) and (read.corners.min() < 0 or read.corners.max() >= len(read.vertices)):
+        raise InputError("has triangles of vertices that are not there")
+    _require_finite(read.vertices)
+    faces, owner = triangles_of(read)
+    if len(faces) == 0:
+        raise InputError("holds no triangles")
+    vertices, colours = read.vertices, read.vertex_colours
+    if read.face_colours is not None and colours is None:
+        vertices, colours = vertices[faces.ravel()], np.repeat(read.face_colours[owner], 3, axis=0)
+        faces = np.arange(faces.size).reshape(-1, 3)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if colours is not None:
+        mesh.visual.vertex_colors = np.rint(255 * colours).astype(np.uint8)
+    if read.unread:
+        mesh.metadata[UNREAD] = read.unread
     return mesh
+
+
+def _read_stl(content: bytes) -> trimesh.Trimesh:
+    count = int.from_bytes(content[80:84], "little")
+    if len(content) == 84 + 50 * count and count:
+        return _of_binary_stl(content)
+    mesh = trimesh.load_mesh(io.BytesIO(content), file_type="stl", process=False)
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise InputError("holds no triangles")
+    _require_finite(mesh.vertices)
+    return mesh
+
+
+def _of_binary_stl(content: bytes) -> trimesh.Trimesh:
+    """Each triangle: a normal, three corners, two bytes that the format leaves open."""
+    row = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("open", "<u2")])
+    triangles = np.frombuffer(content, row, offset=84)
+    corners = triangles["corners"].reshape(-1, 3)
+    _require_finite(corners)
+    first, place = _first_of_equals(corners.view(np.uint32))  # -0 is merged with 0 later
+    mesh = trimesh.Trimesh(corners[first], place.reshape(-1, 3), process=False)
+    # Two conventions of colours there, neither of the format's own.
+    if b"COLOR=" in content[:80] or (triangles["open"] & 0x8000).any():
+        mesh.metadata[UNREAD] = "colours of an STL file"
+    return mesh
+
+
+def _require_finite(vertices: Floats) -> None:
+    if not np.isfinite(vertices).all():
+        raise InputError("has vertices that are not finite")

@@ -60,7 +60,7 @@ def write_render(
     InputError
         Where position or samples are out of range, or the disk refuses.
     """
-    from sim.datasets.labels import colour_labels, label_scene
+    from sim.datasets.labels import check_sampling, colour_labels, label_scene
     from sim.devices import metered
     from sim.render.tank import Tank
     from sim.sensor import Webcam
@@ -69,6 +69,8 @@ def write_render(
     if samples is not None:
         check_samples(samples, scene.tank.render.fineness, where="--samples")
     at = at_moment(scene, 0, position_mm)
+    if samples is not None:
+        check_sampling(at.scene, at.position_mm, samples, where="--samples")
     webcam = Webcam(at.scene)
     layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])

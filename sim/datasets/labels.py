@@ -6,6 +6,7 @@ From the render's layers and the truth of the line, without looking at the pictu
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from math import isqrt
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from sim.truth.target.section import surfaces_of
 from sim.water import water_optics
 
 CORE = 3.0  # standard deviations on either side of the line's centre
+RIPPLE = 0.05  # of a column's light, for samples too far apart
 
 
 class Label(IntEnum):
@@ -143,6 +145,46 @@ def line_sigma_px(scene: Scene, truth: StripeTruth) -> Floats:
     sigma = np.full(len(shown), np.nan)
     sigma[shown] = np.hypot(sheet_px, scene.tank.lens.blur_px)
     return sigma
+
+
+def check_sampling(scene: Scene, position_mm: float, samples: int, where: object) -> None:
+    """Refuse samples that lie farther apart than the sharp line is wide.
+
+    Samples h px apart of a Gaussian of standard deviation s px add up to its light but for a share
+    2 exp(-2 pi2 s2 / h2) either way (Poisson's summation formula), which is at most RIPPLE here, in
+    the middle one of the columns.
+
+    Parameters
+    ----------
+    scene : Scene, as it is in the picture
+    position_mm : float, mm, along the track
+    samples : int, a pixel, a square number
+    where : object, what the error names as the place of the number
+
+    Raises
+    ------
+    InputError
+        Names the fewest samples that serve.
+    """
+    if not scene.tank.laser.on:
+        return
+    sharp = scene.with_tank(lens={"blur_px": 0.0})
+    truths = [
+        stripe_truth(scene, position_mm, line) for line in range(len(scene.tank.laser.sheets))
+    ]
+    widths = np.concatenate([line_sigma_px(sharp, truth) for truth in truths])
+    if not np.isfinite(widths).any():
+        return
+    middle_px = float(np.nanmedian(widths))
+    side = int(np.ceil(np.sqrt(np.log(2 / RIPPLE) / 2) / (np.pi * middle_px)))
+    if isqrt(samples) < side:
+        raise InputError(
+            f"samples lie farther apart than the sharp line is wide, a standard deviation of "
+            f"{middle_px:.2g} px: its columns would be wrong by more than {RIPPLE:.0%}",
+            where=where,
+            value=samples,
+            allowed=f"{side**2} or more",
+        )
 
 
 def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:

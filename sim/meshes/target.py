@@ -10,14 +10,14 @@ import trimesh
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from lscan.files.meshes import MM_PER_UNIT, load_mesh
+from lscan.files.meshes import MM_PER_UNIT, UNREAD, load_mesh
 from sim.meshes.board import board_parts
 from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
 from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
 from sim.meshes.rough import rough_block_mesh
 from sim.meshes.sand import sanded_sandwave_mesh
 from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
-from sim.scene import Scene, target_pose
+from sim.scene import Scene, floor_corners_mm, target_pose
 from sim.scene.matter import Texture
 
 MARKS = "marks"  # the one part of a board that a texture leaves as it is
@@ -39,7 +39,7 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
     parts = [moved(part, pose) for part in target_parts(scene)]
     floor = scene.tank.floor
     if floor is not None:
-        square = plain_mesh(floor.corners_mm(), np.array([[0, 1, 2], [0, 2, 3]]))
+        square = plain_mesh(floor_corners_mm(scene), np.array([[0, 1, 2], [0, 2, 3]]))
         parts.append(MeshPart("floor", square, floor.albedo))
     return parts
 
@@ -98,6 +98,14 @@ def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
     if target.shape == "mesh":
         with _named(scene, "target.file"):
             mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit or "mm"])
+            if UNREAD in mesh.metadata:
+                raise InputError(
+                    "states a reflectance that is not read: take it out of the file, or colour "
+                    "the vertices or faces by it",
+                    where=target.file,
+                    value=mesh.metadata[UNREAD],
+                    allowed="colours of a PLY, OBJ or OFF file's vertices or faces",
+                )
         return [MeshPart("mesh", mesh, albedo, paint=vertex_paint(mesh))]
     if target.rough is not None:
         return [MeshPart("rough", rough_block_mesh(target.rough), albedo)]

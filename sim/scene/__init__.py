@@ -8,7 +8,14 @@ the board.  The target stands in the world frame, which is the head frame of tra
 of shifting, and positions are arcs (lscan.config.rig.ShaftSection).
 """
 
-from sim.scene.file import SECTIONS, Scene, load_scene, scene_of, target_pose
+from sim.scene.file import (
+    SECTIONS,
+    Scene,
+    floor_corners_mm,
+    load_scene,
+    scene_of,
+    target_pose,
+)
 from sim.scene.instrument import Head, Laser, LaserLine, Lens, PlanePort, Port, Sensor, TrueShaft
 from sim.scene.moment import Moment, at_moment
 from sim.scene.poses import (
@@ -38,6 +45,7 @@ __all__ = [
     "TrueShaft",
     "at_moment",
     "camera_pose",
+    "floor_corners_mm",
     "head_pose",
     "into_head",
     "into_world",

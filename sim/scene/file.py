@@ -14,13 +14,30 @@ from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig
 from lscan.config.rigfile import RigFile, inline_board, parse_rig
 from lscan.errors import InputError
+from lscan.records import Floats
 from sim.scene.boarderrors import STEEPEST, BoardErrors, TrueBoard
 from sim.scene.change import Change, check_changes
 from sim.scene.distortion import is_folded
-from sim.scene.instrument import Head, Laser, Lens, PlanePort, Port, Seed, Sensor, TrueShaft
+from sim.scene.instrument import (
+    Head,
+    Laser,
+    Lens,
+    PlanePort,
+    Port,
+    Seed,
+    Sensor,
+    TrueShaft,
+    response_at,
+)
 from sim.scene.matter import AmbientLight, Floor, Target, Water
-from sim.scene.poses import Pose, rotation, track_pose
+from sim.scene.poses import Pose, head_pose, rotation, track_pose
 from sim.scene.trackerrors import TrackErrors
+
+FLOOR_BEYOND_MM = 3000.0
+"""Farther off, a metre of turbid water has absorbed the light."""
+
+FLOOR_PLACES = 25
+"""Of the plan's, spread evenly, beneath which the floor lies."""
 
 
 class Render(Strict):
@@ -208,7 +225,7 @@ def scene_of(rig_file: RigFile) -> Scene:
     head = _on_its_shaft(tank.head, rig_file)
     scene = Scene(
         rig=rig_file.rig,
-        tank=tank.model_copy(update={"head": head}),
+        tank=tank.model_copy(update={"head": head, "sensor": _at_its_wavelength(tank)}),
         document=rig_file.document,
         source=rig_file.source,
     )
@@ -240,6 +257,14 @@ def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
     if true.arc_radius_mm is None:
         true = true.model_copy(update={"arc_radius_mm": stated.arc_radius_mm})
     return head.model_copy(update={"shaft": true})
+
+
+def _at_its_wavelength(tank: TankSections) -> Sensor:
+    """The sensor, with a webcam's response to the laser's wavelength where the file states none."""
+    if "laser_response" in tank.sensor.model_fields_set:
+        return tank.sensor
+    response = response_at(tank.laser.wavelength_nm)
+    return tank.sensor.model_copy(update={"laser_response": response})
 
 
 def _check_target(scene: Scene) -> None:
@@ -288,3 +313,26 @@ def target_pose(scene: Scene) -> Pose:
     angles = (target.turn_deg, target.tilt_y_deg, target.tilt_x_deg)
     pose = Pose(rotation("ZYX", angles), np.array(target.position_mm))
     return track_pose(scene.tank.head, 0.0) @ pose if target.shape == "board" else pose
+
+
+def floor_corners_mm(scene: Scene) -> Floats:
+    """(4, 3) corners of the floor, mm, counter-clockwise from above, world frame.
+
+    It reaches FLOOR_BEYOND_MM to each side of the world's origin, and where the plan takes camera
+    or laser farther out than half of that, so far beyond them too.
+
+    Parameters
+    ----------
+    scene : Scene, with a floor
+    """
+    assert scene.tank.floor is not None
+    head, places_mm = scene.tank.head, np.array(scene.rig.plan.positions_mm())
+    places_mm = places_mm[np.linspace(0, len(places_mm) - 1, FLOOR_PLACES).astype(int)]
+    own = np.array([head.camera_mm, scene.tank.laser.apex_mm])
+    there = np.concatenate([head_pose(head, place).apply(own) for place in places_mm.tolist()])
+    low, high = np.full(2, -FLOOR_BEYOND_MM), np.full(2, FLOOR_BEYOND_MM)
+    if np.abs(there[:, :2]).max() > FLOOR_BEYOND_MM / 2:
+        low = np.minimum(low, there[:, :2].min(axis=0) - FLOOR_BEYOND_MM)
+        high = np.maximum(high, there[:, :2].max(axis=0) + FLOOR_BEYOND_MM)
+    x, y = np.stack([low, high])[[0, 1, 1, 0], 0], np.stack([low, high])[[0, 0, 1, 1], 1]
+    return np.column_stack([x, y, np.full(4, scene.tank.floor.z_mm)])

@@ -245,6 +245,49 @@ class Response(Strict):
     blue: Fraction
 
 
+RESPONSES = (
+    (400.0, 0.0, 0.0, 0.001),
+    (420.0, 0.036, 0.052, 0.223),
+    (440.0, 0.042, 0.13, 0.515),
+    (460.0, 0.027, 0.187, 0.563),
+    (480.0, 0.033, 0.325, 0.489),
+    (500.0, 0.03, 0.418, 0.294),
+    (520.0, 0.059, 0.612, 0.124),
+    (540.0, 0.043, 0.604, 0.053),
+    (560.0, 0.023, 0.47, 0.016),
+    (580.0, 0.295, 0.288, 0.006),
+    (600.0, 0.5, 0.11, 0.003),
+    (620.0, 0.46, 0.046, 0.003),
+    (640.0, 0.42, 0.034, 0.005),
+    (650.0, 0.4, 0.03, 0.01),
+    (680.0, 0.34, 0.048, 0.013),
+    (700.0, 0.3, 0.042, 0.011),
+)
+"""Quantum efficiency of red, green and blue pixels by wavelength in nm, see response_at."""
+
+
+def response_at(wavelength_nm: float) -> Response:
+    """What the pixels of a webcam without an infrared filter make of laser light.
+
+    Parameters
+    ----------
+    wavelength_nm : float, nm, 400 to 700; linear between the rows of RESPONSES
+
+    References
+    ----------
+    The colours' curves are those measured of a Nikon D5100: M. M. Darrodi, G. Finlayson, T. Goodman
+    and M. Mackiewicz, J. Opt. Soc. Am. A 32, 381 (2015), responses to power, each divided by its
+    largest.  Taken per photon here, their peaks have the efficiency 0.563 at 460 nm, 0.64 at 530 nm
+    and 0.51 at 595 nm: estimated, as those of a design whose camera states none.  From 600 nm on,
+    where that camera's infrared filter sets in, red falls to 0.4 at 650 nm and 0.3 at 700 nm, also
+    estimated, and green and blue keep their measured ratio to it.  At 650 nm the numbers are those
+    of scenes/paper, 0.4, 0.03 and 0.01, where the ratios give 0.031 and 0.007.
+    """
+    nm, *colours = np.transpose(RESPONSES)
+    red, green, blue = (float(np.interp(wavelength_nm, nm, colour)) for colour in colours)
+    return Response(red=red, green=green, blue=blue)
+
+
 class Sensor(Strict):
     """EMVA 1288 linear model of a webcam's sensor, and what follows it.
 
@@ -259,6 +302,7 @@ class Sensor(Strict):
     readout_ms: a rolling shutter's time from the first row's to the last row's.
     clips_dn: grey value at which the camera's range ends; some end early.  frame_dn: grey value of
     a frame, one pixel wide, that a capture program draws around the picture; None: no frame.
+    laser_response: of a scene that states none, that at its laser's nominal wavelength.
     """
 
     pixel_um: PositiveFloat = 6.0
@@ -278,7 +322,7 @@ class Sensor(Strict):
     readout_ms: Annotated[float, Field(ge=0, le=1000)] = 0.0
     clips_dn: Annotated[int, Field(ge=1, le=255)] = 255
     frame_dn: Annotated[int, Field(ge=0, le=255)] | None = None
-    laser_response: Response = Response(red=0.40, green=0.03, blue=0.01)
+    laser_response: Response = response_at(650.0)
     ambient_response: Response = Response(red=0.30, green=0.33, blue=0.28)
     noise: bool = True
     seed: Seed = 1

@@ -2,15 +2,12 @@
 
 from typing import Annotated, Literal, Self
 
-import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 
 from lscan.config.documents import Strict
-from lscan.records import Floats
 from sim.scene.instrument import Fraction, Seed, Vector
 from sim.scene.rough import RoughBlock
 
-FLOOR_HALF_SIDE_MM = 3000.0  # beyond, a metre of turbid water has absorbed the light
 WaterKind = Literal[
     "given", "pure", "clear", "coastal", "harbor", "tank", "air",
     "jerlov-I", "jerlov-IB", "jerlov-II", "jerlov-III", "jerlov-1C", "jerlov-7C", "jerlov-9C",
@@ -168,8 +165,3 @@ class Floor(Strict):
 
     z_mm: float
     albedo: Fraction = 0.3
-
-    def corners_mm(self) -> Floats:
-        """(4, 3) of the square that stands for it, counter-clockwise, world frame."""
-        s = FLOOR_HALF_SIDE_MM
-        return np.array([[x, y, self.z_mm] for x, y in ((-s, -s), (s, -s), (s, s), (-s, s))])

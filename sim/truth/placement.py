@@ -1,8 +1,8 @@
 """Whether camera, laser and target are placed so that they can be scanned.
 
 Refused: a camera or a laser inside the target or beneath the floor.  Logged as warnings, for it
-may be meant: how large a mesh file is and what it lacks, and a target that the line does not fall
-on.
+may be meant: how large a mesh file is and what it lacks, a target that the line does not fall
+on, and one whose end lies within the sheet's thickness.
 """
 
 import logging
@@ -46,7 +46,7 @@ def check_placement(scene: Scene) -> None:
         _warn(scene, mesh_notes(scene, mesh))
     _check_outside(scene, mesh)
     if target.shape in ("mesh", "rough", "workpiece") and scene.tank.laser.on:
-        _warn(scene, out_of_reach(scene, mesh))
+        _warn(scene, out_of_reach(scene, mesh) or lit_ends(scene, mesh))
 
 
 def _warn(scene: Scene, notes: list[str]) -> None:
@@ -100,6 +100,25 @@ def out_of_reach(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
         f"target: the line does not fall on it: {reasons[0]}; it spans {low} to {high} mm "
         f"in the world{unit}"
     ]
+
+
+def lit_ends(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
+    """One note where a flat sheet's middle is past an end of the target and its light is not."""
+    laser, places = scene.tank.laser, np.array(scene.rig.plan.positions_mm())
+    notes = []
+    for line in range(len(laser.sheets)):
+        sheet = sheet_of(scene, line)
+        if sheet.bow is not None or scene.tank.head.shaft is not None:
+            continue
+        passed = passing_mm(scene.tank.head, np.asarray(mesh.vertices), sheet)
+        past = np.maximum(passed.min() - places, places - passed.max())
+        lit = places[(past > 0) & (past < laser.waist_mm)]
+        if len(lit):
+            notes.append(
+                f"target: at track position {lit[0]:g} mm the sheet's middle is past its end and "
+                "some of the sheet's light is not: the picture has a line where the truth has none"
+            )
+    return notes[:1]
 
 
 def _missed(scene: Scene, mesh: trimesh.Trimesh, sheet: TrueSheet) -> str | None:

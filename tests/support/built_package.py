@@ -12,7 +12,7 @@ from places import ROOT
 
 SOURCES = ("lscan", "sim", "scenes")
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE", "CHANGELOG.md")
-TANK = ("mitsuba", "drjit", "rtree", "shapely", "mapbox_earcut")
+TANK = ("mitsuba", "drjit", "rtree", "shapely")
 """How the names of what only ``lscan[tank]`` installs begin."""
 
 

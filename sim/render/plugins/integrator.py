@@ -20,6 +20,7 @@ from sim.render.plugins.sheet import LaserSheet
 
 NEWTON_STEPS = 3  # a bow is a small deviation from a plane, whose crossing is the start
 NEWTON_REACH_MM = 0.5
+LEAST_SLOPE = 1e-6  # a ray along the sheet crosses it somewhere: 0.01 mm over 10 m
 
 
 class SheetIntegrator(WaterIntegrator):
@@ -169,6 +170,7 @@ def crossing_of(sheet: LaserSheet, ray: mi.Ray3f) -> tuple[mi.Float, mi.Float]:
     ray : Ray3f, world frame, mm
     """
     slope = dr.dot(ray.d, sheet.normal)
+    slope = dr.select(dr.abs(slope) < LEAST_SLOPE, dr.copysign(mi.Float(LEAST_SLOPE), slope), slope)
     crossing = dr.dot(sheet.apex(ray.time) - ray.o, sheet.normal) / slope
     if not sheet.is_bowed:
         return crossing, slope

@@ -55,6 +55,10 @@ class HeadFrame:
         return mi.Point3f(self._origin + x * place.x + y * place.y + z * place.z)
 
 
+# Standard deviations of the sheet: farther from its middle there is 4e-6 of the light there.
+END = 5.0
+
+
 @dataclass(frozen=True)
 class OpenVeil:
     """One sheet's light scattered into rays with nothing in the way of either.
@@ -154,6 +158,10 @@ def _open_veil(
     crossing, slope = crossing_of(sheet, ray)
     phi, rho, _ = sheet.coordinates(ray(crossing), ray.time)
     sigma = sheet.half_width(rho) / (2 * dr.abs(slope))
+    _, beside, offset = sheet.coordinates(ray.o, ray.time)
+    # A ray that begins within the sheet sees light from its beginning on, wherever it crosses it.
+    begins_within = dr.abs(offset) < END * sheet.half_width(beside) / 2
+    sigma = dr.select(begins_within, dr.inf, sigma)
     radiance = mi.Float(0)
     if integrator.has_water:
         nothing = dr.zeros(mi.SurfaceInteraction3f)

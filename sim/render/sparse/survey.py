@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from lscan.records import Ints, Mask
 from sim.render.plugins.beams import FARTHEST_MM
-from sim.render.sparse.rays import HeadRays
+from sim.render.sparse.rays import END, HeadRays
 from sim.render.sparse.reach import SheetReach
 from sim.scene import Pose
 
-# Standard deviations of the sheet: farther from its middle there is 4e-6 of the light there.
-END = 5.0
 MIXED = 255  # of a pixel's state: any sheet's light is there in part
 MOST_SHEETS = 7  # of which a state has room for a bit each, and is not MIXED
 NEIGHBOURS = np.ones((3, 3), np.uint8)

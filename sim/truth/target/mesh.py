@@ -9,7 +9,7 @@ import trimesh
 from lscan.records import Floats, Ints, Mask
 from sim.scene import Pose
 from sim.truth.bow import Bow, bowed_pieces
-from sim.truth.target.surfaces import spread, stretch
+from sim.truth.target.surfaces import TOUCHING_MM, spread, stretch
 
 CELL_TRIANGLES = 2.0  # a cell's side over that of a triangle, about
 MOST_CELLS = 1000  # along a side of the grid
@@ -28,15 +28,34 @@ class Mesh:
     creased: bool = True
 
     def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:
-        """(M, 2, 2) pieces of the section, in no particular order; one a triangle if flat."""
+        """(M, 2, 2) pieces of the section, in no particular order; one a triangle if flat.
+
+        An edge in a flat sheet is one, whichever side of it has triangles.
+        """
         if bow is not None:
             vertices = sheet.invert(np.asarray(self.mesh.vertices))
             return bowed_pieces(vertices, np.asarray(self.mesh.faces), bow)[..., [0, 2]]
         pieces = trimesh.intersections.mesh_plane(
             self.mesh, plane_normal=sheet.rotation[:, 1], plane_origin=sheet.origin_mm
         )
-        corners = np.asarray(pieces, dtype=float).reshape(-1, 3)
+        last = self._edges_before(sheet)
+        corners = np.concatenate([np.asarray(pieces, dtype=float).reshape(-1, 3), last])
         return sheet.invert(corners)[:, [0, 2]].reshape(-1, 2, 2)
+
+    def _edges_before(self, sheet: Pose) -> Floats:
+        """(2 M, 3) ends of the edges in a sheet whose triangles all lie before it.
+
+        Trimesh counts those with a triangle behind.
+        """
+        height = (np.asarray(self.mesh.vertices) - sheet.origin_mm) @ sheet.rotation[:, 1]
+        side = np.where(np.abs(height) <= TOUCHING_MM, 0, np.sign(height))[self.mesh.faces]
+        on_edge = (side == 0).sum(axis=1) == 2
+        faces, side = np.asarray(self.mesh.faces)[on_edge], side[on_edge]
+        edges = np.sort(faces[side == 0].reshape(-1, 2), axis=1)
+        behind = side.sum(axis=1) > 0
+        known = set(map(tuple, edges[behind].tolist()))
+        last = [edge for edge in set(map(tuple, edges[~behind].tolist())) if edge not in known]
+        return np.asarray(self.mesh.vertices)[np.array(sorted(last), dtype=int).ravel()]
 
     def blocks(self, start: Floats, end: Floats) -> Mask:
         """(N,) whether a triangle comes between starts and ends."""

@@ -10,7 +10,7 @@ from lscan.records import Floats, Ints, Mask
 from sim.meshes import target_mesh
 from sim.meshes.board import plate_mesh
 from sim.meshes.parts import plain_mesh
-from sim.scene import Pose, Scene, target_pose
+from sim.scene import Pose, Scene, floor_corners_mm, target_pose
 from sim.scene.boarderrors import TrueBoard
 from sim.truth.bow import Bow
 from sim.truth.target.chains import chains
@@ -51,7 +51,7 @@ def surfaces_of(scene: Scene) -> list[TankSurface]:
     """
     surfaces = target_surfaces(scene)
     floor = scene.tank.floor
-    return surfaces if floor is None else [*surfaces, Polygon(floor.corners_mm())]
+    return surfaces if floor is None else [*surfaces, Polygon(floor_corners_mm(scene))]
 
 
 def target_surfaces(scene: Scene) -> list[TankSurface]:

@@ -20,6 +20,9 @@ SELF_MM = 1e-3
 # meets it.  Rounding of places a metre away is 1e-13 mm.
 LEVEL_MM = 1e-9
 
+# What lies this close to a sheet lies in it; trimesh's own measure.
+TOUCHING_MM = 1e-8
+
 
 class TankSurface(Protocol):
     """One surface in the world frame, mm."""
@@ -53,14 +56,20 @@ class Polygon:
     opaque: bool = True
 
     def cut(self, sheet: Pose, bow: Bow | None = None) -> Floats:
-        """(M, 2, 2) pieces of the section; none where the polygon lies in a flat sheet."""
+        """(M, 2, 2) pieces of the section; none where the polygon lies in a flat sheet.
+
+        An edge in the sheet, with the polygon on one side, is one.
+        """
         corners = sheet.invert(self.corners_mm)
         if bow is not None:
             return bowed_section(corners, bow)
         following = np.roll(corners, -1, axis=0)
         crosses = (corners[:, 1] < 0) != (following[:, 1] < 0)
         if not crosses.any():
-            return np.empty((0, 2, 2))
+            # It ends at the sheet, or begins there: on that edge its light falls.
+            ends = np.stack([corners, following], axis=1)
+            touches = (np.abs(ends[..., 1]) < TOUCHING_MM).all(axis=1)
+            return ends[touches & ~touches.all()][..., [0, 2]]
         here, there = corners[crosses], following[crosses]
         part = here[:, 1] / (here[:, 1] - there[:, 1])
         points = (here + part[:, np.newaxis] * (there - here))[:, [0, 2]]

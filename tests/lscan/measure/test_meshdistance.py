@@ -71,6 +71,38 @@ def test_the_nearest_place_is_that_of_all_triangles(seed: int, spread: float) ->
     np.testing.assert_allclose(np.linalg.norm(points - found.place_mm, axis=1), least, atol=1e-9)
 
 
+def spiky() -> trimesh.Trimesh:
+    """Peaks and pits about the origin, with many corners of saddle shape."""
+    mesh = trimesh.creation.icosphere(subdivisions=2)
+    mesh.vertices *= np.random.default_rng(4).uniform(8.0, 40.0, (len(mesh.vertices), 1))
+    return mesh
+
+
+def test_the_sign_is_right_at_corners_of_saddle_shape() -> None:
+    """Closed form: a point is sum l v over the corners v of the face it is seen through from the
+    origin, l not negative, and inside where the sum of l is below 1."""
+    mesh = spiky()
+    points = np.random.default_rng(5).uniform(-40, 40, (4_000, 3))
+    weights = np.einsum("tab,kb->kta", np.linalg.inv(mesh.triangles.transpose(0, 2, 1)), points)
+    through = weights.min(axis=2).argmax(axis=1)
+    inside = weights[np.arange(len(points)), through].sum(axis=1) < 1
+    np.testing.assert_array_equal(MeshSearch(mesh).nearest(points).distance_mm < 0, inside)
+
+
+def test_a_triangle_without_area_leaves_no_border() -> None:
+    """A box with a corner on the middle of an edge, as earcut and CAD leave them: seen from
+    beyond that edge, its nearest place is on two triangles and the thin one between."""
+    vertices = [[x, y, z] for z in (0, 9) for x, y in ((0, 0), (9, 0), (9, 9), (0, 9))] + [
+        [4, 0, 9]
+    ]
+    rings = [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 8, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+    fans = [[ring[0], *ring[k : k + 2]] for ring in rings for k in range(1, len(ring) - 1)]
+    box = trimesh.Trimesh(vertices, [*fans, [4, 8, 5]], process=False)
+    found = MeshSearch(box).nearest(np.array([[3.0, -1.0, 10.0], [6.0, -2.0, 11.0]]))
+    assert not found.border.any()
+    np.testing.assert_allclose(found.distance_mm, [np.sqrt(2), np.sqrt(8)])
+
+
 def test_beside_an_open_mesh_there_is_nothing_to_compare() -> None:
     """A square patch: points over it have a distance, those beside it have none."""
     x, y = plan(61)

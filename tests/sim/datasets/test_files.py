@@ -23,7 +23,13 @@ from lscan.errors import InputError
 from lscan.records import Status
 from sim.cli.app import app
 from sim.datasets.files import TruthTable, taken_at, taken_in, write_render, write_truth
-from sim.datasets.labels import Label, colour_labels, label_scene
+from sim.datasets.labels import (
+    Label,
+    check_sampling,
+    colour_labels,
+    label_scene,
+    line_sigma_px,
+)
 from sim.devices import TankCamera
 from sim.render.layers import Layers
 from sim.scene import Scene, load_scene, scene_of
@@ -285,3 +291,28 @@ def test_runs_without_truth_are_refused(tmp_path: Path) -> None:
     with create_run(tmp_path / "begun", open_run(run).rig_file):
         pass
     assert "holds no frame yet" in said(str(tmp_path / "begun"))
+
+
+@pytest.mark.parametrize(("sigma_px", "fewest"), [(0.5, 1), (0.4, 4), (0.2, 9), (0.1, 25)])
+def test_samples_farther_apart_than_the_line_is_wide_are_refused(
+    sigma_px: float, fewest: int
+) -> None:
+    """Sums of a Gaussian at samples h apart, in closed form: within 5 % of its light from
+    s / h = 0.432 on."""
+    side = int(np.sqrt(fewest))
+    for number, inside in ((side, True), (side - 1, False)):
+        if number:
+            rows = np.arange(-40, 40) / number
+            share = np.exp(-(rows**2) / (2 * sigma_px**2)).sum() / number
+            assert (abs(share / (sigma_px * np.sqrt(2 * np.pi)) - 1) <= 0.05) == inside
+    scene = load_scene("paper/groove")
+    (truth,) = (stripe_truth(scene, 100.0),)
+    now = float(np.nanmedian(line_sigma_px(scene.with_tank(lens={"blur_px": 0.0}), truth)))
+    wide = scene.tank.laser.waist_mm * sigma_px / now
+    as_wide = scene.with_tank(laser={"waist_mm": wide, "waist_distance_mm": 600.0})
+    check_sampling(as_wide, 100.0, fewest, "--samples")
+    if side > 1:
+        with pytest.raises(
+            InputError, match=rf"--samples: samples lie .*allowed: {fewest} or more"
+        ):
+            check_sampling(as_wide, 100.0, (side - 1) ** 2, "--samples")

@@ -290,6 +290,25 @@ def test_vertex_colours_are_levels_of_a_ramp() -> None:
     np.testing.assert_allclose(np.unique(levels.round(9)), bands, atol=1e-9)
 
 
+def test_a_mesh_whose_faces_are_coloured_is_as_bright_as_they_are(tmp_path: Path) -> None:
+    """Half of grey 128 and white: each triangle is of one level."""
+    path = tmp_path / "two.off"
+    path.write_text(
+        "OFF\n4 2 0\n0 0 0\n9 0 0\n9 9 0\n0 9 0\n3 0 1 2 128 128 128\n3 0 2 3 255 255 255\n"
+    )
+    (part,) = target_parts(with_target("groove", shape="mesh", file=str(path)))
+    assert part.paint is not None
+    levels = (part.paint.uv[part.mesh.faces, 0] - 0.25) / 0.5
+    np.testing.assert_allclose(levels, [[128 / 255] * 3, [1.0] * 3], atol=1e-12)
+
+
+def test_a_mesh_whose_materials_are_not_read_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cad.obj"
+    path.write_text("mtllib cad.mtl\nusemtl steel\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match=r"target\.file: .*cad\.obj: .*mtllib cad\.mtl, usemtl st"):
+        target_parts(with_target("groove", shape="mesh", file=str(path)))
+
+
 def test_a_mesh_does_not_take_colours_and_a_texture() -> None:
     mound = GALLERY / "targets" / "mound.ply"
     texture = Texture(file=str(GALLERY / "targets" / "checks.png"), size_mm=(10.0, 10.0))

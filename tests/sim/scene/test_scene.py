@@ -9,6 +9,7 @@ from places import SCENES
 
 from lscan.errors import InputError
 from sim.scene import Head, camera_pose, head_pose, load_scene, target_pose
+from sim.scene.instrument import response_at
 
 PAPER = SCENES / "paper"
 NAMES = ["board", "groove", "sandwave"]
@@ -31,6 +32,32 @@ def variant(tmp_path: Path, old: str, new: str, name: str = "groove") -> Path:
     path = tmp_path / "scene.toml"
     path.write_text(text.replace(old, new).replace('"rig.toml"', f'"{PAPER / "rig.toml"}"'))
     return path
+
+
+@pytest.mark.parametrize(
+    ("nm", "brightest"), [(450, "blue"), (520, "green"), (532, "green"), (635, "red"), (650, "red")]
+)
+def test_a_webcam_sees_a_laser_in_its_own_colour(tmp_path: Path, nm: int, brightest: str) -> None:
+    scene = load_scene(variant(tmp_path, "[sensor]", f"[laser]\nwavelength_nm = {nm}\n[sensor]"))
+    response = scene.tank.sensor.laser_response
+    shares = {colour: getattr(response, colour) for colour in ("red", "green", "blue")}
+    assert max(shares, key=lambda colour: shares[colour]) == brightest
+    if nm == 650:  # the paper's webcam, to the last bit
+        assert shares == {"red": 0.40, "green": 0.03, "blue": 0.01}
+
+
+def test_a_response_that_is_stated_is_kept(tmp_path: Path) -> None:
+    stated = "laser_response = { red = 0.4, green = 0.03, blue = 0.01 }"
+    text = f"[laser]\nwavelength_nm = 520\n[sensor]\n{stated}"
+    assert load_scene(variant(tmp_path, "[sensor]", text)).tank.sensor.laser_response.red == 0.4
+
+
+@given(nm=st.floats(400, 699))
+def test_the_response_has_no_jump(nm: float) -> None:
+    """Steepest between 560 and 580 nm, where red pixels begin to see: 0.0136 a nanometre."""
+    one, next_to_it = response_at(nm), response_at(nm + 0.1)
+    for colour in ("red", "green", "blue"):
+        assert abs(getattr(one, colour) - getattr(next_to_it, colour)) < 0.1 * 0.02
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,11 @@ from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError
 from sim.cli.app import app
 from sim.devices import SimTrack, TrackOptions, camera_driver, load_checked
-from sim.meshes import target_mesh
+from sim.meshes import scene_parts, target_mesh
 from sim.scene import Pose, Scene
 from sim.truth.placement import check_placement, gaps_of, inside
+from sim.truth.target.section import surfaces_of
+from sim.truth.target.surfaces import Polygon
 
 FLOOR_MM = -100.0
 
@@ -167,6 +169,35 @@ def test_a_target_out_of_reach_is_reported(
     laser = dark.tank.laser.model_copy(update={"on": False})
     tank_off = dark.tank.model_copy(update={"laser": laser})
     assert len(notes(Scene(dark.rig, tank_off, dark.document, dark.source), caplog)) == 1
+
+
+def test_an_end_within_the_sheets_thickness_is_reported(caplog: pytest.LogCaptureFixture) -> None:
+    """A block that ends 1 mm before the sheet's middle at the last place of the plan."""
+    scene = block(head={"yaw_deg": 0.0}, plan={"frames": 3, "step_mm": 10.0})
+    last = scene.rig.plan.positions_mm()[-1]
+    ends = float(target_mesh(scene).bounds[1, 1])
+    there = scene.tank.target.position_mm
+    for short, said in ((1.0, 1), (-1.0, 0), (10.0, 0)):
+        at = (there[0], there[1] + last - ends - short, there[2])
+        told = notes(scene.with_tank(target={"position_mm": at}, laser={"waist_mm": 1.5}), caplog)
+        assert sum(f"at track position {last:g} mm the sheet's middle" in n for n in told) == said
+
+
+@pytest.mark.parametrize(("start_mm", "far_mm"), [(0.0, 3000.0), (5000.0, 8000.0)])
+def test_the_floor_goes_along_with_the_plan(start_mm: float, far_mm: float) -> None:
+    """3 m from the origin, or from the laser at y = 5 m; the truth's floor is the picture's."""
+    scene = tank(
+        target={"shape": "none"},
+        head={"yaw_deg": 0.0},
+        floor={"z_mm": FLOOR_MM},
+        plan={"start_mm": start_mm, "frames": 1},
+    )
+    (floor,) = scene_parts(scene)
+    assert floor.mesh.bounds[1, 1] == pytest.approx(far_mm)
+    assert floor.mesh.bounds[0, 1] == -3000.0
+    (surface,) = surfaces_of(scene)
+    assert isinstance(surface, Polygon)
+    np.testing.assert_array_equal(surface.corners_mm, floor.mesh.vertices)
 
 
 def test_missing_triangles_are_counted() -> None:

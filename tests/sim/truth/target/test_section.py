@@ -9,6 +9,7 @@ from truth_scenes import BOARD, block_mesh, tank
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
+from sim.meshes.parts import grid_faces, plain_mesh
 from sim.scene import Pose, head_pose, rotation
 from sim.truth.target.mesh import Mesh
 from sim.truth.target.section import (
@@ -38,6 +39,26 @@ SHEET = st.builds(
 def lengths(ends: np.ndarray) -> np.ndarray:
     """(M,) of pieces (M, 2, 2)."""
     return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+
+def slab() -> trimesh.Trimesh:
+    """A level grid from y = 0 to 40, two triangles a cell."""
+    x, y = np.meshgrid(np.arange(5) * 10.0, np.arange(5) * 10.0)
+    return plain_mesh(np.column_stack([x.ravel(), y.ravel(), 0 * x.ravel()]), grid_faces(5, 5))
+
+
+@pytest.mark.parametrize("y", [0.0, 10.0, 25.0, 40.0])
+def test_a_sheet_meets_a_mesh_from_its_first_row_to_its_last(y: float) -> None:
+    """Once, on the rows between too; a block's end is an end of its long faces."""
+    sheet = Pose(np.eye(3), np.array([0.0, y, 0.0]))
+    assert lengths(section_at([Mesh(slab())], sheet).ends_mm).sum() == pytest.approx(40.0)
+    corners = np.array([[0.0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0]])
+    assert lengths(section_at([Polygon(corners)], sheet).ends_mm).sum() == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize("y", [-1e-6, 40.000001])
+def test_a_sheet_beyond_a_mesh_does_not_meet_it(y: float) -> None:
+    assert len(section_at([Mesh(slab())], Pose(np.eye(3), np.array([0.0, y, 0.0]))).ends_mm) == 0
 
 
 def test_a_hole_and_what_is_wound_twice_are_outside():
