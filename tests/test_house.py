@@ -14,15 +14,16 @@ import documented
 import house
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.version import Version
-from places import ROOT
+from places import ROOT, tracked
 
 import lscan
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-MODULES = sorted(
-    path.relative_to(ROOT) for folder in ("lscan", "sim") for path in (ROOT / folder).rglob("*.py")
-)
+MODULES = [
+    path.relative_to(ROOT) for name in ("lscan", "sim") for path in tracked(ROOT / name, "*.py")
+]
 MODULE_NAMES = [".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in MODULES]
 
 
@@ -111,18 +112,25 @@ FOREIGN = re.compile(
 )
 
 
-def _project_files() -> list[Path]:
-    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    if not (ROOT / ".git").exists() or not shutil.which("git"):
-        pytest.skip("not a git checkout")
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    paths = [ROOT / name for name in done.stdout.split("\0") if name]
-    return [path for path in paths if path.is_file()]
+def test_what_git_does_not_track_is_not_judged(tmp_path: Path) -> None:
+    for name in ("kept.py", "folder/kept.md", "folder/scratch.py", "run.log"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    everything = tracked(tmp_path)
+    assert [path.name for path in everything] == ["kept.md", "scratch.py", "kept.py", "run.log"]
+    for command in (["init", "-q"], ["add", "kept.py", "folder/kept.md"]):
+        subprocess.run(["git", "-C", tmp_path, *command], check=True)
+    assert tracked(tmp_path) == [tmp_path / "folder/kept.md", tmp_path / "kept.py"]
+    assert tracked(tmp_path / "folder", "*.py") == []
+    (tmp_path / "kept.py").unlink()
+    assert tracked(tmp_path, "*.py") == []
 
 
 def test_no_file_names_a_place_on_one_machine_or_a_package_index() -> None:
+    if not (ROOT / ".git").exists() or not shutil.which("git"):
+        pytest.skip("not a git checkout")
     found = []
-    for path in _project_files():
+    for path in tracked(ROOT):
         lines = path.read_text(encoding="utf-8", errors="ignore").splitlines()
         for number, line in enumerate(lines, start=1):
             if FOREIGN.search(line):
@@ -327,6 +335,29 @@ def test_the_lock_pins_all_that_the_project_asks_for() -> None:
         version, hashes = locked[_canonical(requirement.name)]
         assert version in requirement.specifier, requirement
         assert hashes > 0, requirement
+
+
+def _claimed_pythons() -> list[str]:
+    """The first patch of each version of Python that the lock file says it is for."""
+    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    minors = re.search(r"\b3\.(\d+) to 3\.(\d+)\b", text)
+    assert minors
+    return [f"3.{minor}.0" for minor in range(int(minors[1]), int(minors[2]) + 1)]
+
+
+def test_the_lock_serves_every_python_that_it_claims() -> None:
+    """Debian 12 has 3.11.2: a package that needs a later patch leaves it without any."""
+    claimed = _claimed_pythons()
+    assert SpecifierSet(PROJECT["project"]["requires-python"]) == SpecifierSet(
+        f">={claimed[0][:-2]}"
+    )
+    refused = {}
+    for name, (version, _) in _locked().items():
+        package = importlib.metadata.metadata(name)
+        assert package["Version"] == version, f"{name} is not the lock's: make setup"
+        allowed = SpecifierSet(package.get("Requires-Python", ""))
+        refused[name] = [python for python in claimed if python not in allowed]
+    assert {name: pythons for name, pythons in refused.items() if pythons} == {}
 
 
 @pytest.mark.xdist_group("house")
