@@ -19,6 +19,7 @@ from packaging.version import Version
 from places import ROOT, tracked
 
 import lscan
+import lscan.cli
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MODULES = [
@@ -280,6 +281,29 @@ def test_a_changelog_that_lags_or_leads_is_noticed() -> None:
     assert not _changelog_agrees([], "0.1.0")
     assert not _changelog_agrees(["0.1.0"], "0.2.0")
     assert not _changelog_agrees(["Unreleased", "0.10.0"], "0.9.0")
+
+
+@pytest.mark.parametrize(("name", "module"), PROJECT["project"]["scripts"].items())
+def test_a_program_says_its_version(
+    name: str, module: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main = importlib.metadata.EntryPoint(name, module, "console_scripts").load()
+    monkeypatch.setattr(sys, "argv", [name, "--version"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert (left.value.code, capsys.readouterr().out) == (0, f"{name} {lscan.__version__}\n")
+
+
+def test_a_system_without_file_locks_is_told_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As Windows is: the programs' modules import lscan.cli before all others."""
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with pytest.raises(SystemExit) as left:
+        importlib.reload(lscan.cli)
+    said = capsys.readouterr().err
+    assert left.value.code == 2
+    assert said.startswith("lscan: needs Linux") and said.count("\n") == 1
 
 
 ENTRY_POINTS = [
