@@ -21,6 +21,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from ctypes.util import find_library
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
@@ -31,11 +32,12 @@ from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import cache_folder, write_atomically
-from sim.debian import found_or_installed
+from sim.debian import PackageError, found_or_installed, install_first
 from sim.render.flushing import CAN_FLUSH
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
+ATOMIC = "libatomic1"  # Dr.Jit's threads are linked to it; a bare Debian or Ubuntu has none
 PACKAGES = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17")
 THREADS = "LSCAN_THREADS"  # environment variable: Dr.Jit's threads, if not one for each core
 LEAST_THREADS = 2
@@ -258,9 +260,17 @@ def _probe(variant: str, settings: Mapping[str, str]) -> ProbeResult:
 
 
 def _judge(code: int, stderr: str) -> ProbeResult:
-    """A crash is the library's doing; a plain failure may not be and is not held against it."""
+    """A crash is the library's doing; a plain failure may not be and is not held against it.
+
+    Raises BackendError where Mitsuba is not even loaded, with any LLVM, for want of a library.
+    """
     if code == 0:
         return ProbeResult(works=True)
+    if lacking := re.search(r"ImportError: (\S+): cannot open shared object file", stderr):
+        raise BackendError(
+            f"mitsuba needs {lacking[1]}, which this system lacks: install its package "
+            f"(of libatomic.so.1, {ATOMIC} on Debian and Ubuntu, libatomic elsewhere)"
+        )
     lines = [line.strip() for line in stderr.splitlines() if line.strip()] or ["no message"]
     fatal = [line for line in lines if "LLVM ERROR" in line]
     reason = re.sub(r":? 0x.*", "", (fatal or lines[-1:])[0])[:120]  # without its addresses
@@ -317,10 +327,13 @@ def _installed_version(name: str) -> str:
 
 
 def find_or_install() -> Library:
-    """The libLLVM to render with, installed first where none serves.
+    """The libLLVM to render with, installed first where none serves, as what Dr.Jit needs besides.
 
     Raises BackendError; where installing failed too, its line says both.
     """
+    if find_library("atomic") is None:
+        with suppress(PackageError):  # the probe says what is lacking
+            install_first((ATOMIC,))
     return found_or_installed(find_llvm, PACKAGES, "DRJIT_LIBLLVM_PATH")
 
 

@@ -248,6 +248,18 @@ def test_a_crash_is_final_and_a_plain_failure_is_not() -> None:
     assert backend._judge(0, "a warning") == WORKS
 
 
+def test_a_library_that_mitsuba_lacks_is_no_fault_of_llvm() -> None:
+    """As a bare Debian lacks libatomic: Dr.Jit 1.5.0 ends in a NameError about itself."""
+    stderr = (
+        "Traceback\nImportError: libatomic.so.1: cannot open shared object file: No such file\n"
+        "During handling\nTraceback\nNameError: name '_drjit_ext' is not defined\n"
+    )
+    with pytest.raises(BackendError, match=r"^mitsuba needs libatomic\.so\.1, .*libatomic1"):
+        backend._judge(1, stderr)
+    llvms = "OSError: libedit.so.2: cannot open shared object file: No such file"
+    assert backend._judge(1, llvms) == ProbeResult(works=False, reason=llvms, final=False)
+
+
 def test_a_probe_without_an_answer_is_ended(
     crowd: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -329,6 +341,17 @@ def test_without_the_right_to_install_nothing_is_tried(
     with pytest.raises(PackageError, match="root or a sudo"):
         install_first(backend.PACKAGES)
     assert (machine / "log").read_text() == ""
+
+
+def test_what_drjit_needs_besides_is_installed_where_it_lacks(
+    machine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backend, "find_llvm", lambda: Library(Path("libLLVM.so.19.1"), 19))
+    (machine / "known").write_text("libatomic1\n")
+    backend.find_or_install()
+    monkeypatch.setattr(backend, "find_library", lambda name: None)
+    backend.find_or_install()
+    assert (machine / "log").read_text().splitlines() == ["install libatomic1"]
 
 
 def test_the_line_after_a_vain_install_says_both(
