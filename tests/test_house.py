@@ -258,6 +258,31 @@ def test_a_class_name_used_twice_is_noticed(tmp_path: Path) -> None:
     assert house.repeated_classes(tmp_path) == {"Tank": ["lscan/a.py:1", "sim/a.py:1"]}
 
 
+# ---- findings ---------------------------------------------------------------------------
+
+
+FINDINGS = tracked(ROOT / "findings", "*.sh")
+
+
+def test_the_table_of_findings_lists_every_script() -> None:
+    readme = (ROOT / "findings" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w-]+\.sh)` \|", readme, flags=re.MULTILINE)
+    assert sorted(rows) == [path.name for path in FINDINGS]
+
+
+@pytest.mark.parametrize("path", FINDINGS, ids=lambda path: path.name)
+def test_a_finding_stands_alone(path: Path) -> None:
+    """It says what is seen, works in a folder that goes with it, pins, and needs no lscan."""
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    assert lines[0] == "#!/usr/bin/env bash" and lines[1].startswith("# ")
+    assert path.stat().st_mode & 0o111, "is not executable"
+    assert all(part in text for part in ("set -euo pipefail", "mktemp -d", "trap "))
+    code = "\n".join(line for line in lines if not line.lstrip().startswith("#"))
+    assert not re.search(r"\b(import|from) (lscan|sim)\b|\blscan(-sim)? ", code)
+    assert len(lines) <= 80
+
+
 # ---- versions and packages --------------------------------------------------------------
 
 
