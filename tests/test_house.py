@@ -12,6 +12,7 @@ from pathlib import Path
 
 import documented
 import house
+import oldest
 import pytest
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
@@ -407,6 +408,26 @@ def test_the_lock_serves_every_python_that_it_claims() -> None:
         allowed = SpecifierSet(package.get("Requires-Python", ""))
         refused[name] = [python for python in claimed if python not in allowed]
     assert {name: pythons for name, pythons in refused.items() if pythons} == {}
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="there is no make here")
+def test_make_knows_the_newest_python_of_the_lock() -> None:
+    command = ["make", "-s", "--eval", "newest: ; @echo 3.$(NEWEST).0", "newest"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.strip() == _claimed_pythons()[-1], done.stderr
+
+
+def test_the_oldest_packages_are_the_lower_bounds() -> None:
+    """Each requirement of the project, in whatever spelling; all others at most as locked."""
+    project = PROJECT["project"]
+    asked = itertools.chain(project["dependencies"], *project["optional-dependencies"].values())
+    bounds = {f"{_canonical(r.name)}=={oldest.lower_bound(r)}" for r in map(Requirement, asked)}
+    rest = set(oldest.constraints()) - bounds
+    assert bounds <= set(oldest.constraints())
+    assert all(line.count("<=") == 1 and "==" not in line for line in rest)
+    assert len(bounds) + len(rest) == len(_locked())
+    with pytest.raises(ValueError, match="numpy: has no lower bound"):
+        oldest.lower_bound(Requirement("numpy"))
 
 
 @pytest.mark.xdist_group("house")
