@@ -7,10 +7,14 @@ PYTEST ?=
 BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
+OLDEST ?= $(addprefix tests/lscan/,files config camera live surface/test_stack.py \
+	cli/test_commands.py cli/test_measure_command.py)
+# The newest Python that requirements.lock is for, as its head says: the 14 of "3.11 to 3.14".
+NEWEST := $(shell sed -n '1,3s/.*3\.[0-9]* to 3\.\([0-9]*\).*/\1/p' requirements.lock)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
 QUICK := accuracy hardware verify field demo bench budgets roughness regression
-.PHONY: help setup demo test pytest smoke soak lint house bench verify accuracy field hardware roughness regression suites docs clean
+.PHONY: help setup demo test pytest smoke soak lint house oldest bench verify accuracy field hardware roughness regression suites docs clean
 .PHONY: $(addprefix quick-,$(QUICK))
 .DELETE_ON_ERROR:
 
@@ -22,6 +26,7 @@ help:
 	@echo "make smoke   every figure of the commands below and of the demo, quickly; out/quick"
 	@echo "make soak    property tests with random examples for MINUTES=10, or as many as named"
 	@echo "make house   sizes of packages and README, names used twice, each with its bar"
+	@echo "make oldest  tests of the instrument and a render with the oldest packages allowed; out/oldest"
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
 	@echo "make bench   measure speed and write out/bench.json"
 	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
@@ -57,6 +62,19 @@ soak: .venv/llvm.stamp
 
 house: .venv/packages.stamp
 	$(BIN)/python tests/support/house.py
+
+# What pyproject.toml promises: all lower bounds at once, in an environment of their own.
+oldest: export LSCAN_PHOTONS ?= 131072
+oldest: .venv/llvm.stamp
+	rm -rf out/oldest
+	$(BIN)/python -m venv out/oldest
+	$(BIN)/python tests/support/oldest.py >out/oldest/constraints.txt
+	out/oldest/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: \
+		--no-compile -c out/oldest/constraints.txt setuptools
+	out/oldest/bin/python -m pip install --quiet --disable-pip-version-check --only-binary :all: \
+		--no-compile -c out/oldest/constraints.txt --no-build-isolation --editable '.[tank,docs,dev]'
+	out/oldest/bin/python -m pytest -q -m "not slow" $(OLDEST)
+	out/oldest/bin/lscan-sim demo --quick -o out/oldest/demo
 
 # Every figures command, each with the least effort: what a later change broke shows here.  Two
 # at a time, each with one thread to render: threads wait for work at full speed.
@@ -149,6 +167,9 @@ clean:
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "lscan needs Python 3.11 or newer: $(PYTHON) is $$("$(PYTHON)" -V 2>&1)," \
 		"name another one, as in: make test PYTHON=python3.11" >&2; exit 2; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info >= (3, $(NEWEST) + 1))' || \
+		echo "note: requirements.lock is for Python 3.11 to 3.$(NEWEST): where a package of it has" \
+		"nothing for $$("$(PYTHON)" -V 2>&1), name another, as in: make test PYTHON=python3.11" >&2
 	@"$(PYTHON)" -c 'import ensurepip, venv' 2>/dev/null || { \
 		package="$$("$(PYTHON)" -c 'import sys; print("python%d.%d-venv" % sys.version_info[:2])')"; \
 		echo "installing $$package"; \

@@ -1,4 +1,7 @@
-"""Sphinx settings: `make docs` builds ``out/docs``, and a warning is an error there."""
+"""Sphinx settings: `make docs` builds ``out/docs``, and a warning is an error there.
+
+All that a build writes lies in the folder that it is told to write.
+"""
 
 import os
 import sys
@@ -9,9 +12,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 import workspace
+from sphinx.application import Sphinx
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-workspace.prepare()
+# Tables of scattered light from all photons are half an hour's work, which no small picture shows.
+os.environ.setdefault("LSCAN_PHOTONS", "131072")
 
 project = "lscan"
 author = "The lscan developers"
@@ -29,7 +34,6 @@ myst_enable_extensions = ["attrs_inline", "colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 
 nb_execution_mode = "cache"
-nb_execution_cache_path = workspace.cache()
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
 nb_merge_streams = True
@@ -42,3 +46,10 @@ nitpick_ignore_regex = [  # names of Python and of other packages, whose pages a
     ("py:.*", r"(array|callable|mapping|float64|int64|optional|uint8)"),
     ("py:.*", r"(Ge|Gt|Le|Lt|FieldInfo|NoneType|[\d.]+)"),  # limits in the types of fields
 ]
+
+
+def setup(app: Sphinx) -> None:
+    """Say where the code of pages runs, and where what it gave is kept."""
+    work = Path(app.doctreedir) / "work"
+    workspace.prepare(work)
+    app.config.nb_execution_cache_path = workspace.cache(work)

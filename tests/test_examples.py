@@ -6,14 +6,14 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from places import ROOT
+from places import ROOT, tracked
 
 import lscan
 import sim
 
 pytestmark = pytest.mark.xdist_group("examples")  # one worker: one folder of scans
 
-FILES = [path for name in ("lscan", "sim") for path in sorted((ROOT / name).rglob("*.py"))]
+FILES = [path for name in ("lscan", "sim") for path in tracked(ROOT / name, "*.py")]
 MODULES = [
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
     for path in FILES

@@ -12,17 +12,20 @@ from pathlib import Path
 
 import documented
 import house
+import oldest
 import pytest
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.version import Version
-from places import ROOT
+from places import ROOT, tracked
 
 import lscan
+import lscan.cli
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-MODULES = sorted(
-    path.relative_to(ROOT) for folder in ("lscan", "sim") for path in (ROOT / folder).rglob("*.py")
-)
+MODULES = [
+    path.relative_to(ROOT) for name in ("lscan", "sim") for path in tracked(ROOT / name, "*.py")
+]
 MODULE_NAMES = [".".join(path.with_suffix("").parts).removesuffix(".__init__") for path in MODULES]
 
 
@@ -111,18 +114,25 @@ FOREIGN = re.compile(
 )
 
 
-def _project_files() -> list[Path]:
-    command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    if not (ROOT / ".git").exists() or not shutil.which("git"):
-        pytest.skip("not a git checkout")
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    paths = [ROOT / name for name in done.stdout.split("\0") if name]
-    return [path for path in paths if path.is_file()]
+def test_what_git_does_not_track_is_not_judged(tmp_path: Path) -> None:
+    for name in ("kept.py", "folder/kept.md", "folder/scratch.py", "run.log"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    everything = tracked(tmp_path)
+    assert [path.name for path in everything] == ["kept.md", "scratch.py", "kept.py", "run.log"]
+    for command in (["init", "-q"], ["add", "kept.py", "folder/kept.md"]):
+        subprocess.run(["git", "-C", tmp_path, *command], check=True)
+    assert tracked(tmp_path) == [tmp_path / "folder/kept.md", tmp_path / "kept.py"]
+    assert tracked(tmp_path / "folder", "*.py") == []
+    (tmp_path / "kept.py").unlink()
+    assert tracked(tmp_path, "*.py") == []
 
 
 def test_no_file_names_a_place_on_one_machine_or_a_package_index() -> None:
+    if not (ROOT / ".git").exists() or not shutil.which("git"):
+        pytest.skip("not a git checkout")
     found = []
-    for path in _project_files():
+    for path in tracked(ROOT):
         lines = path.read_text(encoding="utf-8", errors="ignore").splitlines()
         for number, line in enumerate(lines, start=1):
             if FOREIGN.search(line):
@@ -249,6 +259,31 @@ def test_a_class_name_used_twice_is_noticed(tmp_path: Path) -> None:
     assert house.repeated_classes(tmp_path) == {"Tank": ["lscan/a.py:1", "sim/a.py:1"]}
 
 
+# ---- findings ---------------------------------------------------------------------------
+
+
+FINDINGS = tracked(ROOT / "findings", "*.sh")
+
+
+def test_the_table_of_findings_lists_every_script() -> None:
+    readme = (ROOT / "findings" / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w-]+\.sh)` \|", readme, flags=re.MULTILINE)
+    assert sorted(rows) == [path.name for path in FINDINGS]
+
+
+@pytest.mark.parametrize("path", FINDINGS, ids=lambda path: path.name)
+def test_a_finding_stands_alone(path: Path) -> None:
+    """It says what is seen, works in a folder that goes with it, pins, and needs no lscan."""
+    text = path.read_text(encoding="utf-8")
+    lines = text.splitlines()
+    assert lines[0] == "#!/usr/bin/env bash" and lines[1].startswith("# ")
+    assert path.stat().st_mode & 0o111, "is not executable"
+    assert all(part in text for part in ("set -euo pipefail", "mktemp -d", "trap "))
+    code = "\n".join(line for line in lines if not line.lstrip().startswith("#"))
+    assert not re.search(r"\b(import|from) (lscan|sim)\b|\blscan(-sim)? ", code)
+    assert len(lines) <= 80
+
+
 # ---- versions and packages --------------------------------------------------------------
 
 
@@ -272,6 +307,29 @@ def test_a_changelog_that_lags_or_leads_is_noticed() -> None:
     assert not _changelog_agrees([], "0.1.0")
     assert not _changelog_agrees(["0.1.0"], "0.2.0")
     assert not _changelog_agrees(["Unreleased", "0.10.0"], "0.9.0")
+
+
+@pytest.mark.parametrize(("name", "module"), PROJECT["project"]["scripts"].items())
+def test_a_program_says_its_version(
+    name: str, module: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    main = importlib.metadata.EntryPoint(name, module, "console_scripts").load()
+    monkeypatch.setattr(sys, "argv", [name, "--version"])
+    with pytest.raises(SystemExit) as left:
+        main()
+    assert (left.value.code, capsys.readouterr().out) == (0, f"{name} {lscan.__version__}\n")
+
+
+def test_a_system_without_file_locks_is_told_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As Windows is: the programs' modules import lscan.cli before all others."""
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with pytest.raises(SystemExit) as left:
+        importlib.reload(lscan.cli)
+    said = capsys.readouterr().err
+    assert left.value.code == 2
+    assert said.startswith("lscan: needs Linux") and said.count("\n") == 1
 
 
 ENTRY_POINTS = [
@@ -327,6 +385,49 @@ def test_the_lock_pins_all_that_the_project_asks_for() -> None:
         version, hashes = locked[_canonical(requirement.name)]
         assert version in requirement.specifier, requirement
         assert hashes > 0, requirement
+
+
+def _claimed_pythons() -> list[str]:
+    """The first patch of each version of Python that the lock file says it is for."""
+    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+    minors = re.search(r"\b3\.(\d+) to 3\.(\d+)\b", text)
+    assert minors
+    return [f"3.{minor}.0" for minor in range(int(minors[1]), int(minors[2]) + 1)]
+
+
+def test_the_lock_serves_every_python_that_it_claims() -> None:
+    """Debian 12 has 3.11.2: a package that needs a later patch leaves it without any."""
+    claimed = _claimed_pythons()
+    assert SpecifierSet(PROJECT["project"]["requires-python"]) == SpecifierSet(
+        f">={claimed[0][:-2]}"
+    )
+    refused = {}
+    for name, (version, _) in _locked().items():
+        package = importlib.metadata.metadata(name)
+        assert package["Version"] == version, f"{name} is not the lock's: make setup"
+        allowed = SpecifierSet(package.get("Requires-Python", ""))
+        refused[name] = [python for python in claimed if python not in allowed]
+    assert {name: pythons for name, pythons in refused.items() if pythons} == {}
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="there is no make here")
+def test_make_knows_the_newest_python_of_the_lock() -> None:
+    command = ["make", "-s", "--eval", "newest: ; @echo 3.$(NEWEST).0", "newest"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.stdout.strip() == _claimed_pythons()[-1], done.stderr
+
+
+def test_the_oldest_packages_are_the_lower_bounds() -> None:
+    """Each requirement of the project, in whatever spelling; all others at most as locked."""
+    project = PROJECT["project"]
+    asked = itertools.chain(project["dependencies"], *project["optional-dependencies"].values())
+    bounds = {f"{_canonical(r.name)}=={oldest.lower_bound(r)}" for r in map(Requirement, asked)}
+    rest = set(oldest.constraints()) - bounds
+    assert bounds <= set(oldest.constraints())
+    assert all(line.count("<=") == 1 and "==" not in line for line in rest)
+    assert len(bounds) + len(rest) == len(_locked())
+    with pytest.raises(ValueError, match="numpy: has no lower bound"):
+        oldest.lower_bound(Requirement("numpy"))
 
 
 @pytest.mark.xdist_group("house")

@@ -8,7 +8,6 @@ from pathlib import Path
 import grimp
 
 ROOT = Path(__file__).resolve().parents[2]
-OUT = ROOT / "out" / "docs-images"
 WIDTH, HEIGHT, GAP, STEP, MARGIN = 118, 30, 22, 62, 20
 
 
@@ -105,9 +104,9 @@ def _box(room: str, x: float, y: float) -> str:
     )
 
 
-def write(package: str, source: str | Path) -> str:
-    """Write the drawing beneath ``out``; its path from the folder explanation/ of the source."""
-    OUT.mkdir(parents=True, exist_ok=True)
-    path = OUT / f"rooms-{package}.svg"
+def write(package: str, source: str | Path, folder: Path) -> str:
+    """Write the drawing into ``folder``; its path from the folder explanation/ of the source."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"rooms-{package}.svg"
     path.write_text(svg(package), encoding="utf-8")
     return os.path.relpath(path, Path(source) / "explanation")

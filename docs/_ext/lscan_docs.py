@@ -2,6 +2,7 @@
 
 import importlib
 import inspect
+from pathlib import Path
 from typing import Any
 
 import commandline
@@ -21,6 +22,11 @@ class Generated(SphinxDirective):
 
     required_arguments = 1
     final_argument_whitespace = True
+
+    @property
+    def pictures(self) -> Path:
+        """The folder that keeps the pictures of this build."""
+        return Path(self.env.doctreedir) / "pictures"
 
     def text(self, argument: str) -> str:
         """The MyST text that takes the directive's place."""
@@ -82,7 +88,7 @@ class ImportGraph(Generated):
     """``{import-graph} lscan``: the rooms of a package and what they import, drawn."""
 
     def text(self, argument: str) -> str:
-        path = drawing.write(argument, self.env.srcdir)
+        path = drawing.write(argument, self.env.srcdir, self.pictures)
         return f"![Rooms of {argument}: an arrow is an import]({path})"
 
 
@@ -90,7 +96,7 @@ class Gallery(Generated):
     """``{gallery} scenes``: a picture of every scene."""
 
     def text(self, argument: str) -> str:
-        return gallery.as_markdown(argument, self.env.srcdir)
+        return gallery.as_markdown(argument, self.env.srcdir, self.pictures)
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

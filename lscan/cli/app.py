@@ -9,7 +9,7 @@ from lscan.cli.benchmark import bench, leaderboard
 from lscan.cli.board import draw_board
 from lscan.cli.calibrate import calibrate, check
 from lscan.cli.compare import compare
-from lscan.cli.console import command_line, run_command_line
+from lscan.cli.console import before_any_command, command_line, run_command_line
 from lscan.cli.devices import devices
 from lscan.cli.live import live
 from lscan.cli.measure import measure, reconstruct
@@ -25,6 +25,7 @@ from lscan.cli.suites import suite
 app = command_line(
     "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench, suite."
 )
+app.callback()(before_any_command)
 usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, compare, report)
 others = (roughness, calibrate_metric, calibrate_shaft, scenes, devices, bench, leaderboard, live)
 for command in (*usual, *others):

@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich import progress as rich_progress
@@ -19,6 +19,7 @@ from lscan.errors import LscanError, Stopped, missing_package
 from lscan.files.jsontext import json_text
 from lscan.files.longwork import long_work_shown
 from lscan.records import Progress
+from lscan.version import __version__
 
 FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
@@ -54,6 +55,26 @@ def command_line(about: str) -> typer.Typer:
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
+
+
+def _say_version(context: typer.Context, asked: bool) -> None:
+    if asked:
+        print(f"{context.info_name} {__version__}")
+        raise typer.Exit
+
+
+def before_any_command(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version."),
+    ] = False,
+) -> None:
+    """The options of a program itself: its ``app.callback``.
+
+    Parameters
+    ----------
+    version : bool, whether it is to say its version and leave
+    """
 
 
 def run_command_line(app: typer.Typer, name: str) -> None:

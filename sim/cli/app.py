@@ -1,6 +1,6 @@
 """The command line ``lscan-sim``: thin faces over public functions, one module a topic."""
 
-from lscan.cli.console import command_line, run_command_line
+from lscan.cli.console import before_any_command, command_line, run_command_line
 from sim.cli.dataset import dataset
 from sim.cli.demo import demo
 from sim.cli.figures import (
@@ -22,6 +22,7 @@ app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
     " hardware, bench, budgets, roughness, regression, study, concavity, dataset, suite."
 )
+app.callback()(before_any_command)
 for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
     app.command()(command)
 app.command()(budgets)

@@ -21,8 +21,10 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from ctypes.util import find_library
 from dataclasses import dataclass
-from importlib.metadata import version
+from functools import cache
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from types import ModuleType
 
@@ -30,11 +32,12 @@ from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import MOST_TEXT_BYTES, cache_folder, read_cached, write_atomically
-from sim.debian import found_or_installed
+from sim.debian import PackageError, found_or_installed, install_first
 from sim.render.flushing import CAN_FLUSH
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
+ATOMIC = "libatomic1"  # Dr.Jit's threads are linked to it; a bare Debian or Ubuntu has none
 PACKAGES = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17")
 THREADS = "LSCAN_THREADS"  # environment variable: Dr.Jit's threads, if not one for each core
 LEAST_THREADS = 2
@@ -49,8 +52,12 @@ _PLACES = (
     "lib64/llvm*/lib",
 )  # under /usr and the like
 _PROBE = """
-import resource, sys
+import ctypes, os, resource, sys
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+if "DRJIT_LIBLLVM_PATH" in os.environ and sys.argv[1].startswith("llvm"):
+    # Dr.Jit says of whatever it cannot use that it is not there: the linker says more.
+    library = ctypes.CDLL(os.environ["DRJIT_LIBLLVM_PATH"])
+    assert hasattr(library, "LLVMPointerTypeInContext"), "no libLLVM of version 15 or newer"
 import drjit as dr, mitsuba as mi
 mi.set_variant(sys.argv[1])
 mi.set_log_level(mi.LogLevel.Error)
@@ -75,7 +82,7 @@ class BackendError(LscanError):
 
 @dataclass(frozen=True)
 class Library:
-    """A libLLVM by its resolved path; ``major`` is None where the name does not say."""
+    """A libLLVM by its resolved path; ``major`` is that of its name, None where it does not say."""
 
     path: Path
     major: int | None
@@ -102,10 +109,10 @@ def load_mitsuba() -> ModuleType:
     DRJIT_LIBLLVM_PATH for this process and its children.
     Raises BackendError where Mitsuba is missing or nothing on this machine can run it.
     """
+    _require_mitsuba()
     mitsuba = sys.modules.get("mitsuba")
     if mitsuba is not None and mitsuba.variant() in (LLVM, CUDA):
         return mitsuba
-    _require_mitsuba()
     variant = os.environ.get("LSCAN_VARIANT") or LLVM
     if variant == LLVM:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(find_llvm().path)
@@ -160,34 +167,43 @@ def sharing() -> Iterator[list[dict[str, str]]]:
 def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = None) -> Library:
     """The newest libLLVM that Mitsuba renders with.
 
-    candidates: the files to choose from, by default DRJIT_LIBLLVM_PATH alone where the user
-    has set it, else all that this machine holds.  probe: tries one out, by default in a
-    process of its own, once.  Raises BackendError naming each candidate and its fault.
+    candidates: the files to choose from, by default DRJIT_LIBLLVM_PATH alone, whatever its name,
+    where the user has set it, else all that this machine holds.  probe: tries one out, by default
+    in a process of its own, once.  Raises BackendError naming each candidate and its fault.
     """
-    named = os.environ.get("DRJIT_LIBLLVM_PATH") if candidates is None else None
-    if named and not Path(named).is_file():
-        raise BackendError(f"DRJIT_LIBLLVM_PATH: no such file (got {named!r})")
-    paths = [Path(named)] if named else _installed() if candidates is None else candidates
+    probe = probe or probe_remembered
+    if candidates is None and (named := os.environ.get("DRJIT_LIBLLVM_PATH")):
+        return _named_llvm(named, probe)
     faults = []
-    for library in newest_first(paths):
+    for library in newest_first(_installed() if candidates is None else candidates):
         if library.major is not None and library.major < OLDEST_MAJOR:
             faults.append(f"{library.path.name}: too old, Dr.Jit needs {OLDEST_MAJOR} or newer")
             continue
-        verdict = (probe or probe_remembered)(library)
+        verdict = probe(library)
         if verdict.works:
             return library
         faults.append(f"{library.path.name}: {verdict.reason}")
-    if named:
-        raise BackendError(
-            f"DRJIT_LIBLLVM_PATH: cannot render with {named} ({'; '.join(faults)}); "
-            "name a libLLVM of version 17 or newer, or unset it"
-        )
     tried = f"tried {'; '.join(faults)}" if faults else "found no libLLVM at all"
     raise BackendError(
         "no usable LLVM: install the package libllvm19 (Debian 12 and 13, Ubuntu 24.04) or "
         "llvm-libs (Fedora, Arch); Ubuntu 22.04 has nothing newer than libllvm15: add the LLVM "
         "project's own apt repository for jammy and install libllvm19 from there, or move to "
         f"24.04; or name another libLLVM in DRJIT_LIBLLVM_PATH; {tried}"
+    )
+
+
+def _named_llvm(named: str, probe: Probe) -> Library:
+    """The library at the path that the user names, once Mitsuba has rendered with it."""
+    library = Library(Path(named).resolve(), None)
+    if not library.path.is_file():
+        fault = "is a folder, not a libLLVM" if library.path.is_dir() else "no such file"
+        raise BackendError(f"DRJIT_LIBLLVM_PATH: {fault} (got {named!r})")
+    verdict = probe(library)
+    if verdict.works:
+        return library
+    raise BackendError(
+        f"DRJIT_LIBLLVM_PATH: cannot render with {named} ({verdict.reason}); "
+        "name a libLLVM of version 17 or newer, or unset it"
     )
 
 
@@ -244,9 +260,17 @@ def _probe(variant: str, settings: Mapping[str, str]) -> ProbeResult:
 
 
 def _judge(code: int, stderr: str) -> ProbeResult:
-    """A crash is the library's doing; a plain failure may not be and is not held against it."""
+    """A crash is the library's doing; a plain failure may not be and is not held against it.
+
+    Raises BackendError where Mitsuba is not even loaded, with any LLVM, for want of a library.
+    """
     if code == 0:
         return ProbeResult(works=True)
+    if lacking := re.search(r"ImportError: (\S+): cannot open shared object file", stderr):
+        raise BackendError(
+            f"mitsuba needs {lacking[1]}, which this system lacks: install its package "
+            f"(of libatomic.so.1, {ATOMIC} on Debian and Ubuntu, libatomic elsewhere)"
+        )
     lines = [line.strip() for line in stderr.splitlines() if line.strip()] or ["no message"]
     fatal = [line for line in lines if "LLVM ERROR" in line]
     reason = re.sub(r":? 0x.*", "", (fatal or lines[-1:])[0])[:120]  # without its addresses
@@ -280,16 +304,37 @@ def probe_remembered(library: Library, probe: Probe = probe_library) -> ProbeRes
     return verdict
 
 
+@cache
 def _require_mitsuba() -> None:
+    """Raise BackendError where Mitsuba or Dr.Jit is not there as this version of lscan pins it.
+
+    Another Dr.Jit than Mitsuba was built with, or another Mitsuba, may fail as a library that is
+    missing, as anything else, or not at all, with other pictures.
+    """
+    remedy = "pip install 'lscan[tank]', or run make test"
     if importlib.util.find_spec("mitsuba") is None:
-        raise BackendError("mitsuba is not installed: pip install 'lscan[tank]', or run make test")
+        raise BackendError(f"mitsuba is not installed: {remedy}")
+    for line in requires("lscan") or []:
+        pin = re.match(r"(mitsuba|drjit)==([\w.]+)", line)
+        if pin and (found := _installed_version(pin[1])) != pin[2]:
+            raise BackendError(f"{pin[1]}: got {found} (needed: {pin[2]}): {remedy}")
+
+
+def _installed_version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "none"
 
 
 def find_or_install() -> Library:
-    """The libLLVM to render with, installed first where none serves.
+    """The libLLVM to render with, installed first where none serves, as what Dr.Jit needs besides.
 
     Raises BackendError; where installing failed too, its line says both.
     """
+    if find_library("atomic") is None:
+        with suppress(PackageError):  # the probe says what is lacking
+            install_first((ATOMIC,))
     return found_or_installed(find_llvm, PACKAGES, "DRJIT_LIBLLVM_PATH")
 
 

@@ -65,5 +65,7 @@ def directions(lens: Lens, size_px: tuple[int, int]) -> Floats:
     matrix = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1.0]])
     distortion = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
     pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
-    undistorted = cv2.undistortPoints(pixels, matrix, distortion, criteria=UNDISTORT)
+    # With OpenCV 4, undistortPoints takes no criteria; with 5, there is no other function.
+    undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
+    undistorted = undistort(pixels, matrix, distortion, R=None, P=None, criteria=UNDISTORT)
     return np.asarray(undistorted, dtype=float).reshape(height, width, 2)

@@ -1,12 +1,13 @@
 """The reference describes every key of every file, every status and every method, and no other."""
 
+import os
 import re
 import sys
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
-from places import ROOT, SCENES
+from places import ROOT, SCENES, tracked
 
 sys.path.append(str(ROOT / "docs" / "_ext"))
 
@@ -15,6 +16,7 @@ import drawing
 import lists
 import modelkeys
 import userfiles
+import workspace
 
 from lscan.records import Status
 from sim.validation.physics.gallery import scene_files
@@ -98,9 +100,27 @@ def test_the_tables_of_the_architecture_name_every_room(package: str) -> None:
     named = set(
         re.findall("`([a-z]+)`", " ".join(re.findall(r"^\| (.+?) \|", table, re.MULTILINE)))
     )
-    modules = {path.stem for path in (ROOT / package).glob("*.py")} - {"__init__"}
-    rooms = {path.parent.name for path in (ROOT / package).glob("*/__init__.py")}
+    paths = [path.relative_to(ROOT / package) for path in tracked(ROOT / package, "*.py")]
+    modules = {path.stem for path in paths if len(path.parts) == 1} - {"__init__"}
+    rooms = {path.parts[0] for path in paths if len(path.parts) > 1}
     assert rooms | modules == named
+
+
+def test_a_build_keeps_everything_in_the_folder_that_it_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("IPYTHONDIR", "PYTHONPATH"):
+        monkeypatch.setenv(name, "")
+    monkeypatch.chdir(tmp_path)
+    workspace.prepare(tmp_path / "work")
+    [startup] = Path(os.environ["IPYTHONDIR"]).rglob("*.py")
+    exec(startup.read_text(encoding="utf-8"), {})  # as a kernel does before the page's code
+    assert Path.cwd().parent == tmp_path / "work"
+    assert Path(workspace.cache(tmp_path / "work")).parent == tmp_path / "work"
+    monkeypatch.setattr(drawing, "svg", lambda package: f"<svg>{package}</svg>")
+    where = drawing.write("sim", ROOT / "docs", tmp_path / "pictures")
+    shown = ROOT / "docs" / "explanation" / where
+    assert shown.resolve() == tmp_path / "pictures" / "rooms-sim.svg"
 
 
 def test_implied_arrows_are_left_out() -> None:
@@ -111,7 +131,8 @@ def test_implied_arrows_are_left_out() -> None:
 def test_every_scene_is_listed() -> None:
     listed = (SCENES / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([a-z0-9/-]+\.toml)` \|", listed, re.MULTILINE)
-    files = {path.relative_to(SCENES).as_posix() for path in scene_files(SCENES)}
+    kept = set(scene_files(SCENES)) & set(tracked(SCENES))
+    files = {path.relative_to(SCENES).as_posix() for path in kept}
     assert sorted(rows) == sorted(files)
 
 

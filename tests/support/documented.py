@@ -5,12 +5,13 @@ stub of a package is such a module: what it names is public.
 """
 
 import ast
+import itertools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from places import ROOT
+from places import ROOT, tracked
 
 Definition = ast.FunctionDef | ast.ClassDef
 SPECIAL = ("__init__", "__call__")
@@ -51,11 +52,10 @@ class Sources:
     """Every module of lscan and sim beneath ``root``, parsed."""
 
     def __init__(self, root: Path = ROOT) -> None:
-        names = (f"{package}/**/*.{end}" for package in ("lscan", "sim") for end in ("py", "pyi"))
         self._trees = {
             path.relative_to(root): ast.parse(path.read_text(encoding="utf-8"))
-            for name in names
-            for path in root.glob(name)
+            for package, end in itertools.product(("lscan", "sim"), ("py", "pyi"))
+            for path in tracked(root / package, f"*.{end}")
         }
         self._modules = {_dotted(path): path for path in self._trees}
 

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+from places import ROOT, tracked
+
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
@@ -56,13 +57,13 @@ def house_rows(root: Path = ROOT) -> list[HouseRow]:
 
 
 def modules_of(folder: Path) -> list[Path]:
-    """Every Python file beneath a folder."""
-    return sorted(folder.rglob("*.py"))
+    """Every Python file beneath a folder, as git tracks them."""
+    return tracked(folder, "*.py")
 
 
 def root_modules(root: Path = ROOT) -> list[str]:
     """Names of the modules of lscan that lie in no room."""
-    return sorted(path.stem for path in (root / "lscan").glob("*.py"))
+    return sorted(p.stem for p in modules_of(root / "lscan") if p.parent == root / "lscan")
 
 
 def repeated_classes(root: Path = ROOT) -> dict[str, list[str]]:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import pytest
 import typer
-from places import PAPER_BOARD, ROOT, SCENES
+from places import PAPER_BOARD, ROOT, SCENES, tracked
 from served import hurry, quick_rig, small_scene
 
 import lscan.cli.app
@@ -28,7 +28,7 @@ from lscan.config.toml import toml_text
 from sim.emulators import EmulatedHardware
 
 APPS = {"lscan": lscan.cli.app.app, "lscan-sim": sim.cli.app.app}
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *tracked(ROOT / "docs", "*.md")]
 BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
 ELSEWHERE = {
     "lscan live": "tests/system/test_live_interrupt.py",

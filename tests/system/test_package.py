@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from built_package import build_wheel, clean, install
-from places import ROOT
+from places import ROOT, tracked
 from suite_cases import drawn_suite
 
 import lscan
@@ -49,9 +49,8 @@ def test_the_wheel_holds_every_file_of_the_packages_and_the_scenes(wheel: Path) 
         f"lscan-{lscan.__version__}.dist-info",
     }
     for top, prefix in (("lscan", ""), ("sim", ""), ("scenes", "lscan/")):
-        for path in (ROOT / top).rglob("*.*"):
-            if path.is_file() and path.suffix != ".pyc":
-                assert f"{prefix}{path.relative_to(ROOT).as_posix()}" in packed
+        for path in tracked(ROOT / top):
+            assert f"{prefix}{path.relative_to(ROOT).as_posix()}" in packed
 
 
 def test_from_the_scenes_to_a_surface_in_an_empty_folder(programs: Path, tmp_path: Path) -> None:

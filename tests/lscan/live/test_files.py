@@ -4,6 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
+from places import tracked
+
 import lscan
 from lscan.live.files import FOLDER, page_files
 
@@ -20,10 +22,11 @@ def test_what_is_hidden_or_of_another_kind_is_not_listed(tmp_path: Path) -> None
 
 def test_every_module_that_is_asked_for_is_there_and_every_one_there_is_asked_for() -> None:
     asked = {"main.js", "style.css", "index.html"}
-    for file in FOLDER.iterdir():
+    files = tracked(FOLDER)
+    for file in files:
         asked.update(re.findall(r'from "\./([^"]+)"', file.read_text(encoding="utf-8")))
         asked.update(re.findall(r'="/live/([^"]+)"', file.read_text(encoding="utf-8")))
-    assert asked == {file.name for file in FOLDER.iterdir()}
+    assert asked == {file.name for file in files}
 
 
 def test_the_page_is_packed_with_the_package() -> None:
@@ -31,4 +34,4 @@ def test_the_page_is_packed_with_the_package() -> None:
     with (package.parent / "pyproject.toml").open("rb") as file:
         patterns = tomllib.load(file)["tool"]["setuptools"]["package-data"]["lscan"]
     packed = {path for pattern in patterns for path in package.glob(pattern)}
-    assert set(FOLDER.iterdir()) <= packed
+    assert set(tracked(FOLDER)) <= packed

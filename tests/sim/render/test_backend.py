@@ -1,5 +1,6 @@
 """Choosing an LLVM: newest first, tried once in another process, never an abort in this one."""
 
+import importlib.metadata
 import itertools
 import json
 import os
@@ -21,7 +22,7 @@ FAILS = ProbeResult(works=False, reason="says no")
 class FakeProbe:
     """Works for the given majors, fails for the rest, and keeps count of what it was asked."""
 
-    def __init__(self, *working: int, answer: ProbeResult = FAILS) -> None:
+    def __init__(self, *working: int | None, answer: ProbeResult = FAILS) -> None:
         self.working, self.answer = working, answer
         self.asked: list[int | None] = []
 
@@ -125,9 +126,36 @@ def test_a_library_named_by_the_user_is_the_only_one_tried(
     crowd: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(crowd[2]))
-    probe = FakeProbe(16, 19)
+    probe = FakeProbe(None)
     assert backend.find_llvm(probe=probe).path == crowd[2]
-    assert probe.asked == [16]
+    assert probe.asked == [None]
+
+
+@pytest.mark.parametrize("name", ["compiler.so", "libLLVM-14.so.1", "libLLVMCore.a"])
+def test_a_library_named_by_the_user_is_tried_whatever_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    [library] = _libraries(tmp_path / "lib", name)
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
+    assert backend.find_llvm(probe=FakeProbe(None)).path == library
+
+
+def test_a_folder_named_by_the_user_is_called_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(tmp_path))
+    with pytest.raises(BackendError, match=r"DRJIT_LIBLLVM_PATH: is a folder, not a libLLVM"):
+        backend.find_llvm(probe=FakeProbe(None))
+
+
+def test_a_file_named_by_the_user_that_is_no_library_is_called_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dr.Jit would say that the library could not be found."""
+    [file] = _libraries(tmp_path / "lib", "compiler.so")
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(file))
+    with pytest.raises(BackendError, match=r"compiler\.so \(OSError: .*(too short|ELF header)"):
+        backend.find_llvm()
 
 
 def test_a_library_named_by_the_user_that_fails_is_an_error(
@@ -220,6 +248,18 @@ def test_a_crash_is_final_and_a_plain_failure_is_not() -> None:
     assert backend._judge(0, "a warning") == WORKS
 
 
+def test_a_library_that_mitsuba_lacks_is_no_fault_of_llvm() -> None:
+    """As a bare Debian lacks libatomic: Dr.Jit 1.5.0 ends in a NameError about itself."""
+    stderr = (
+        "Traceback\nImportError: libatomic.so.1: cannot open shared object file: No such file\n"
+        "During handling\nTraceback\nNameError: name '_drjit_ext' is not defined\n"
+    )
+    with pytest.raises(BackendError, match=r"^mitsuba needs libatomic\.so\.1, .*libatomic1"):
+        backend._judge(1, stderr)
+    llvms = "OSError: libedit.so.2: cannot open shared object file: No such file"
+    assert backend._judge(1, llvms) == ProbeResult(works=False, reason=llvms, final=False)
+
+
 def test_a_probe_without_an_answer_is_ended(
     crowd: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -303,6 +343,17 @@ def test_without_the_right_to_install_nothing_is_tried(
     assert (machine / "log").read_text() == ""
 
 
+def test_what_drjit_needs_besides_is_installed_where_it_lacks(
+    machine: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(backend, "find_llvm", lambda: Library(Path("libLLVM.so.19.1"), 19))
+    (machine / "known").write_text("libatomic1\n")
+    backend.find_or_install()
+    monkeypatch.setattr(backend, "find_library", lambda name: None)
+    backend.find_or_install()
+    assert (machine / "log").read_text().splitlines() == ["install libatomic1"]
+
+
 def test_the_line_after_a_vain_install_says_both(
     machine: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -336,6 +387,36 @@ def test_the_command_fails_with_one_line_and_code_2() -> None:
     assert done.returncode == 2
     assert done.stdout == ""
     assert done.stderr == "DRJIT_LIBLLVM_PATH: no such file (got 'missing.so')\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("drjit", "1.4.0"), ("mitsuba", "3.8.0"), ("drjit", "none")]
+)
+def test_another_mitsuba_or_drjit_than_pinned_is_refused_before_any_library_is_tried(
+    name: str, found: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def installed(package: str) -> str:
+        if package == name and found == "none":
+            raise importlib.metadata.PackageNotFoundError(package)
+        return found if package == name else importlib.metadata.version(package)
+
+    backend._require_mitsuba.cache_clear()
+    monkeypatch.setattr(backend, "version", installed)
+    monkeypatch.setattr(backend, "find_llvm", lambda: pytest.fail("a library was tried"))
+    needed = importlib.metadata.version(name)
+    assert backend.main([]) == 2
+    line = f"{name}: got {found} (needed: {needed}): pip install 'lscan[tank]', or run make test"
+    assert capsys.readouterr().err.strip() == line
+    with pytest.raises(BackendError, match=f"{name}: got {found}"):
+        backend.load_mitsuba()  # which is loaded already where another test has rendered
+
+
+def test_the_pinned_drjit_is_the_one_that_mitsuba_asks_for() -> None:
+    ours, mitsubas = (
+        next(line for line in importlib.metadata.requires(name) or [] if line.startswith("drjit"))
+        for name in ("lscan", "mitsuba")
+    )
+    assert ours.partition(";")[0].strip() == mitsubas.partition(";")[0].strip()
 
 
 def test_an_unknown_variant_is_refused() -> None:
