@@ -38,7 +38,7 @@ MOST_PX_BYTES = 64
 """Of labels, truth and scene of a picture, for each of its pixels; lscan writes a third of them."""
 MOST_SHARD_BYTES = 2**44
 """As large as file systems let files be: of a shard only members are read."""
-KNOWN_SHARDS = 16
+KNOWN_SHARDS = 512
 
 
 class ShardEntry(BaseModel):

@@ -2,19 +2,27 @@
 
 import signal
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from lscan.cli.arguments import Json
-from lscan.cli.console import progress_bar
+from lscan.cli.console import note, print_json, progress_bar
 from lscan.devices.signals import STOPPING, on_stop_signals
-from sim.cli.arguments import SceneFile, print_places
+from lscan.errors import InputError
+from sim.cli.arguments import print_places
 
 
 def serve(
-    scene: SceneFile,
+    scenes: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Scene file (TOML), or a name that `lscan scenes` lists; of several, such as the "
+            "board and what is to be scanned, each has a webcam and a track of its own."
+        ),
+    ],
     http_port: Annotated[int, typer.Option("--http-port", help="Of the webcam; 0: any.")] = 0,
     fps: Annotated[float, typer.Option("--fps", help="Pictures per second.")] = 30.0,
     quality: Annotated[int, typer.Option("--quality", help="Of the JPEGs, 1 to 100.")] = 95,
@@ -33,7 +41,10 @@ def serve(
         Path | None, typer.Option("--link", help="Lasting name for the serial port.")
     ] = None,
     write_rig: Annotated[
-        Path | None, typer.Option("--write-rig", help="Rig file to write, for lscan.")
+        Path | None,
+        typer.Option(
+            "--write-rig", help="Rig file to write, for lscan; of several scenes a folder."
+        ),
     ] = None,
     fault: Annotated[
         list[str] | None,
@@ -60,23 +71,48 @@ def serve(
         "link": link,
     }
     options = check(ServeOptions, given, where=None, prefix="--")
-    loaded, timed = load_checked(scene), [parse_fault(text) for text in fault or []]
+    rigs = _rig_files(scenes, write_rig)
+    of_one = {"--http-port": http_port, "--link": link, "--fault": fault}
+    if len(scenes) > 1 and (given_one := [name for name, value in of_one.items() if value]):
+        raise InputError("goes with one scene", where=", ".join(given_one))
+    loaded, timed = [load_checked(scene) for scene in scenes], [*map(parse_fault, fault or [])]
     with (
         on_stop_signals(_leave),
         progress_bar("render") as progress,
-        EmulatedHardware(loaded, options, progress) as hardware,
+        ExitStack() as stack,
     ):
-        if write_rig is not None:
-            hardware.write_rig(write_rig)
-        for one in timed:
-            hardware.schedule(one)
-        found = {"url": hardware.url, "snapshot": hardware.snapshot_url, "port": hardware.port}
-        print_places(found if write_rig is None else {**found, "rig": write_rig}, json)
+        served = [
+            stack.enter_context(EmulatedHardware(scene, options, progress)) for scene in loaded
+        ]
+        found = []
+        for hardware, rig in zip(served, rigs, strict=True):
+            if rig is not None:
+                hardware.write_rig(rig)
+            for one in timed:
+                hardware.schedule(one)
+            place = {"url": hardware.url, "snapshot": hardware.snapshot_url, "port": hardware.port}
+            found.append(place if rig is None else {**place, "rig": str(rig)})
+            if not json:
+                print_places(found[-1], json)
+            if rig is not None and not json:
+                note(f"next, elsewhere: lscan live {rig}, or lscan scan {rig} -o runs/{rig.stem}")
+        if json:
+            print_json(found[0] if len(found) == 1 else {"scenes": found})
         sys.stdout.flush()
         while True:
             # Not a lock: Mitsuba puts its SIGINT handler back in such a way (SA_RESTART) that
             # the signal no longer interrupts waiting for one.
             signal.pause()
+
+
+def _rig_files(scenes: list[Path], write_rig: Path | None) -> list[Path | None]:
+    """Where each scene's rig file goes: of several into a folder, by the scene's name."""
+    if write_rig is None or len(scenes) == 1:
+        return [write_rig] * len(scenes)
+    files = [write_rig / f"{scene.stem}.toml" for scene in scenes]
+    if len(set(files)) < len(files):
+        raise InputError("are of one name", where="scenes", value=[scene.stem for scene in scenes])
+    return [*files]
 
 
 def _leave() -> None:

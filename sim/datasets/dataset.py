@@ -35,7 +35,7 @@ from sim.datasets.datasetshards import (
     rendered,
 )
 from sim.datasets.datasetspec import DatasetSpec
-from sim.datasets.labels import Label
+from sim.datasets.labels import CORE, Label
 
 IDENTITY = "identity.json"
 TRIED = 3  # pictures that the estimate is made from; the first may compile
@@ -205,6 +205,7 @@ def _manifest(identity: dict[str, Any], records: Sequence[ShardRecord]) -> dict[
         "shards": [
             {name: value for name, value in asdict(one).items() if name != "failed"}
             for one in records
+            if one.keys
         ],
     }
 
@@ -225,7 +226,14 @@ def data_card(manifest: dict[str, Any], spec: DatasetSpec) -> str:
         for name, one in file.drawn.items()
     )
     classes = ", ".join(f"{value} {name}" for name, value in manifest["classes"].items())
-    return f"""# {file.name}
+    data_files = {"webdataset": "shard-*.tar", "hdf5": "shard-*.h5", "folders": "shard-*/*"}
+    return f"""---
+configs:
+- config_name: default
+  data_files: "{data_files[manifest["format"]]}"
+---
+
+# {file.name}
 
 Rendered pictures of a laser line scanner under water, with their truth; by lscan {__version__}.
 
@@ -243,9 +251,15 @@ Of each picture, behind its number of nine digits:
 
 - `picture.png`: (H, W, 3), as the webcam took it
 - `labels.png`: (H, W), class of each pixel: {classes}
-- `truth.npz`: `depth_mm` (H, W) along the camera's axis and `normals` (H, W, 3) in the camera
-  frame, NaN where no surface is seen; `layer_direct`, `layer_scattered`, `layer_ambient` (H, W),
-  radiance; of L lines in N columns `centre_px`, `status`, `width_px`, `height_dn` (L, N)
+- `truth.npz`: `x_mm`, `y_mm`, `depth_mm` (H, W), the point that a pixel sees, from the pinhole in
+  the camera frame (x right, y down, depth along the axis), and `normals` (H, W, 3) there; NaN where
+  no surface is seen.  Behind a port a point does not lie on the straight line through its pixel:
+  take x_mm and y_mm, do not project depth_mm back by the lens.  `layer_direct`, `layer_scattered`,
+  `layer_ambient` (H, W), radiance in `layer_unit_w_m2_sr` of scene.json; of L lines in N columns
+  `centre_px`, `width_px` (px), `height_dn` (DN), NaN where `status` (codes of lscan.Status) is not
+  OK (0), each (L, N)
+- a pixel is LINE within {CORE:g} `width_px` and half a pixel of `centre_px`, where laser light from
+  the target prevails; where a column has several lit points, all of them
 - `scene.json`: numbers drawn, all of the scene, exposure, `rle`: COCO's run lengths by class
 
 Limits:

@@ -107,7 +107,7 @@ def make_shard(task: ShardTask) -> ShardRecord:
 
 
 def packed_shard(task: ShardTask, missing: str = "was not made") -> ShardRecord:
-    """Write a shard of the pictures that have been kept, then its record beside it.
+    """Write a shard of the pictures that have been kept, if any, then its record beside it.
 
     Parameters
     ----------
@@ -127,9 +127,12 @@ def packed_shard(task: ShardTask, missing: str = "was not made") -> ShardRecord:
     for key in failed:
         if f"{key}{FAILED}" in there:
             failed[key] = (parts / f"{key}{FAILED}").read_text(encoding="utf-8")
-    with _replacing(path) as file:
-        WRITERS[task.form](file, _files(parts, keys))
-    record = ShardRecord(task.file, shard_sha256(path), keys, failed)
+    sha256 = ""
+    if keys:  # other readers take an archive without a picture for a harmed one
+        with _replacing(path) as file:
+            WRITERS[task.form](file, _files(parts, keys))
+        sha256 = shard_sha256(path)
+    record = ShardRecord(task.file, sha256, keys, failed)
     write_json(record_file(task), asdict(record))
     shutil.rmtree(parts, ignore_errors=True)
     return record
@@ -157,7 +160,7 @@ def kept_record(task: ShardTask) -> ShardRecord | None:
         record = ShardRecord(
             found["file"], found["sha256"], tuple(found["keys"]), dict(found["failed"])
         )
-        whole = shard_sha256(task.folder / task.file) == record.sha256
+        whole = not record.keys or shard_sha256(task.folder / task.file) == record.sha256
     except (InputError, ValueError, KeyError, TypeError):
         return None
     same = {*record.keys, *record.failed} == set(task.keys)
@@ -230,7 +233,8 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
     for name, layer in vars(layers.binned(labels.shape)).items():
         arrays[f"layer_{name}"] = np.minimum(layer / unit, MOST_HALF).astype(np.float16)
     surfaces = surfaces_seen(tank, at.position_mm)
-    arrays["depth_mm"] = surfaces.depth_mm.astype(np.float32)
+    for name, part in zip(("x_mm", "y_mm", "depth_mm"), surfaces.points_mm.T, strict=True):
+        arrays[name] = part.T.astype(np.float32)
     arrays["normals"] = surfaces.normals.astype(np.float16)
     columns = [line_columns(at.scene, truth, exposure_ms) for truth in truths]
     for name in vars(columns[0]) if columns else ():

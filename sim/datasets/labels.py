@@ -202,7 +202,7 @@ class LineColumns:
 
     Attributes
     ----------
-    centre_px : (N,) array, px, of the line's middle; NaN where the sheet meets nothing
+    centre_px : (N,) array, px, of the line's middle; NaN where not OK
     status : (N,) array, of Status
     width_px : (N,) array, px, standard deviation across, in the picture; NaN where not OK
     height_dn : (N,) array, DN, by which the brightest pixel is expected above those beside the
@@ -226,4 +226,5 @@ def line_columns(scene: Scene, truth: StripeTruth, exposure_ms: float | None = N
         Of the picture; the rig's if None.
     """
     light = line_brightness(scene, [truth], None if exposure_ms is None else [exposure_ms])[0]
-    return LineColumns(truth.centre_px, truth.status, light.width_px, light.height_dn)
+    centre_px = np.where(truth.status == Status.OK, truth.centre_px, np.nan)
+    return LineColumns(centre_px, truth.status, light.width_px, light.height_dn)

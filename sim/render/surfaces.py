@@ -17,13 +17,18 @@ class SeenSurfaces:
 
     Attributes
     ----------
-    depth_mm : (H, W) array, mm, along the camera's axis from its pinhole
-    normals : (H, W, 3) array, unit vectors towards the camera's side of the surface; camera frame:
-        x right, y down, z along the axis
+    points_mm : (H, W, 3) array, mm, from the camera's pinhole; camera frame: x right, y down, z
+        along the axis.  Behind a port they do not lie on the straight line through the pixel.
+    normals : (H, W, 3) array, unit vectors towards the camera's side of the surface; camera frame
     """
 
-    depth_mm: Floats
+    points_mm: Floats
     normals: Floats
+
+    @property
+    def depth_mm(self) -> Floats:
+        """(H, W) mm along the camera's axis from its pinhole."""
+        return self.points_mm[..., 2]
 
 
 def surfaces_seen(tank: Tank, position_mm: float) -> SeenSurfaces:
@@ -43,11 +48,11 @@ def surfaces_seen(tank: Tank, position_mm: float) -> SeenSurfaces:
     axes = [mi.Vector3f(column) for column in pose.rotation.T.tolist()]
     pinhole = mi.Point3f(pose.origin_mm.tolist())
     dr.make_opaque(axes, pinhole)
-    depth = dr.dot(ray.o - pinhole, axes[2]) + found.t * dr.dot(ray.d, axes[2])
+    place = ray.o + found.t * ray.d - pinhole
     towards = dr.select(dr.dot(found.n, ray.d) > 0, -found.n, found.n)
     seen = found.is_valid() & (weight > 0)
-    parts = [depth, *(dr.dot(towards, axis) for axis in axes)]
+    parts = [dr.dot(vector, axis) for vector in (place, towards) for axis in axes]
     parts = [dr.select(seen, part, dr.nan) for part in parts]
     dr.eval(parts)
-    depth_mm, *normals = (np.array(part).reshape(height, width) for part in parts)
-    return SeenSurfaces(depth_mm, np.stack(normals, axis=-1))
+    along = np.stack([np.array(part).reshape(height, width) for part in parts], axis=-1)
+    return SeenSurfaces(along[..., :3], along[..., 3:])

@@ -81,6 +81,37 @@ def test_it_says_in_lines_where_everything_is_and_stops_at_ctrl_c(scene_file: Pa
     assert (process.returncode, said, errors) == (0, "", "")
 
 
+def test_board_and_scan_are_served_in_one_go(scene_file: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.toml"
+    other.write_bytes(scene_file.read_bytes())
+    process = start(scene_file, str(other), "--json", "--write-rig", str(tmp_path / "rigs"))
+    try:
+        served = read_json(process)["scenes"]
+        _, errors = stop(process, signal.SIGTERM)
+    finally:
+        process.kill()
+    assert (process.returncode, errors) == (0, "")
+    assert len({place["url"] for place in served} | {place["port"] for place in served}) == 4
+    for place, name in zip(served, ("scene", "other"), strict=True):
+        assert place["rig"] == str(tmp_path / "rigs" / f"{name}.toml")
+        assert load_rig(Path(place["rig"])).rig.camera.options["url"] == place["url"]
+
+
+def test_several_scenes_have_no_link_in_common(
+    scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["lscan-sim", "serve", str(scene_file), str(scene_file), "--link", "track"]
+    for arguments, what in (
+        (words, "--link: goes with one scene"),
+        ([*words[:4], "--write-rig", "rigs"], "scenes: are of one name"),
+    ):
+        monkeypatch.setattr(sys, "argv", arguments)
+        with pytest.raises(SystemExit) as end:
+            main()
+        assert end.value.code == 2
+        assert capsys.readouterr().err.startswith(f"lscan-sim: {what}")
+
+
 @pytest.mark.parametrize(
     ("option", "value", "what"),
     [

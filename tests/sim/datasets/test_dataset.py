@@ -29,7 +29,7 @@ from lscan.records import Status
 from sim.cli.app import app
 from sim.datasets import dataset as making, datasetshards
 from sim.datasets.dataset import make_dataset
-from sim.datasets.datasetshards import Format, ShardTask, packed_shard
+from sim.datasets.datasetshards import Format, ShardTask, kept_record, packed_shard
 from sim.datasets.datasetspec import load_dataset_spec
 from sim.datasets.labels import Label
 from sim.render.surfaces import surfaces_seen
@@ -91,6 +91,10 @@ def test_depth_and_normals_are_those_of_a_plane(turn: float) -> None:
     world = head_pose(head, 3.0) @ camera
     assert np.isfinite(found.depth_mm).all()
     assert np.abs(found.normals - world.rotation[2]).max() < 1e-6
+    # What a pixel sees is seen in its middle, by the truth's own projection; single precision.
+    seen = project(scene, camera.apply(found.points_mm.reshape(-1, 3)))
+    v, u = np.indices(found.depth_mm.shape)
+    np.testing.assert_allclose(seen, np.column_stack([u.ravel(), v.ravel()]), atol=1e-3)
     # Points with that depth which project to the pixels: by the truth's own projection the
     # floor's points are found in pixels, and the depth there is theirs.
     x, y = np.meshgrid(np.linspace(-60, 60, 7), np.linspace(-30, 30, 5))
@@ -113,7 +117,7 @@ def test_depth_and_normals_are_those_of_a_plane(turn: float) -> None:
 def test_where_nothing_is_seen_there_is_no_depth() -> None:
     scene = tank(**{**SMALL, "floor": {"z_mm": -100.0}, "head": {"depression_deg": -60.0}})
     found = surfaces_seen(Tank(scene), 0.0)
-    assert np.isnan(found.depth_mm).all()
+    assert np.isnan(found.points_mm).all()
     assert np.isnan(found.normals).all()
 
 
@@ -128,10 +132,10 @@ def test_a_picture_has_the_truth_of_its_own_scene(alone: Path) -> None:
         scene, drawn = spec.picture(base, number)
         assert found.scene["drawn"].items() >= drawn.items()
         truth = stripe_truth(scene, drawn["plan.position_mm"])
-        assert np.array_equal(found.truth["centre_px"][0], truth.centre_px, equal_nan=True)
         assert np.array_equal(found.truth["status"][0], truth.status)
         okay = truth.status == Status.OK
-        for name in ("width_px", "height_dn"):
+        assert np.array_equal(found.truth["centre_px"][0][okay], truth.centre_px[okay])
+        for name in ("centre_px", "width_px", "height_dn"):
             assert np.array_equal(np.isfinite(found.truth[name][0]), okay)
         assert found.picture.shape == (48, 64, 3)
         for label in Label:
@@ -234,6 +238,16 @@ def test_memory_holds_a_picture_at_a_time(
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 3.5 * len(MEMBERS) * size
+
+
+@pytest.mark.parametrize("form", ["webdataset", "hdf5", "folders"])
+def test_a_shard_without_a_picture_is_not_written(tmp_path: Path, form: Format) -> None:
+    """Its record says why; the readers of WebDataset take an empty archive for a harmed one."""
+    task = ShardTask(load_dataset_spec(spec_file(tmp_path)), tmp_path, form, 0, 0, 2)
+    record = packed_shard(task, "killed its worker")
+    assert record.failed == dict.fromkeys(task.keys, "killed its worker")
+    assert not (tmp_path / task.file).exists()
+    assert kept_record(task) == record
 
 
 def test_a_scene_that_fails_is_a_row_of_the_manifest(
