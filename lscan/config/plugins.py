@@ -198,6 +198,8 @@ def frames_of_others(error: BaseException) -> Sequence[traceback.FrameSummary]:
         frame
         for frame in frames
         if not frame.filename.startswith("<")
+        # Where that package has been imported, its entry points take the place of Python's own.
+        and Path(frame.filename).parent.name != "importlib_metadata"
         and not any(Path(frame.filename).is_relative_to(folder) for folder in _NOT_OTHERS)
     ]
 

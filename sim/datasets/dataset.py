@@ -29,6 +29,7 @@ from sim.datasets.datasetshards import (
     Format,
     ShardRecord,
     ShardTask,
+    forget_parts,
     kept_record,
     make_shard,
     packed_shard,
@@ -122,6 +123,7 @@ def _kept(tasks: Sequence[ShardTask]) -> dict[int, ShardRecord]:
         for done, task in enumerate(tasks, start=1):
             if record := kept_record(task):
                 records[task.number] = record
+                forget_parts(task)
             progress(done, len(tasks))
     return records
 

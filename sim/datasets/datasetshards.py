@@ -134,8 +134,18 @@ def packed_shard(task: ShardTask, missing: str = "was not made") -> ShardRecord:
         sha256 = shard_sha256(path)
     record = ShardRecord(task.file, sha256, keys, failed)
     write_json(record_file(task), asdict(record))
-    shutil.rmtree(parts, ignore_errors=True)
+    forget_parts(task)
     return record
+
+
+def forget_parts(task: ShardTask) -> None:
+    """Remove the pictures that were kept until their shard was whole.
+
+    Parameters
+    ----------
+    task : ShardTask
+    """
+    shutil.rmtree(_parts(task), ignore_errors=True)
 
 
 def _parts(task: ShardTask) -> Path:

@@ -163,7 +163,7 @@ WAYS = {
     "camera hangs": Way(hang, DeviceError),
     "track lost": Way(Bench.unplug, DeviceError, off=False),
     "track silent": Way(silence, DeviceError, off=False),
-    "alarm": Way(alarm, DeviceError, off=False),
+    "alarm": Way(alarm, DeviceError),
 }
 
 

@@ -9,6 +9,7 @@ import logging
 import re
 import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 from lscan.devices.api import Fact
@@ -319,7 +320,8 @@ class GrblMachine:
             self._dialogue.command("$G")
         except Unanswered:
             self._link.send_bytes(CYCLE_START)
-            self._dialogue.answers("$G")
+            with suppress(Unanswered):  # refused for what a noisy line had left before it
+                self._dialogue.answers("$G")
 
     def _settings(self) -> dict[int, float]:
         """``$$`` as numbers by their number, complete and read twice alike."""

@@ -247,6 +247,5 @@ def test_a_picture_from_the_network_is_refused_by_its_header(
         raise AssertionError("it was decoded")
 
     monkeypatch.setattr(pictures.cv2, "imdecode", reached)
-    served = np.frombuffer(jpeg_of(65_500, 65_500), np.uint8)
     with pytest.raises(DeviceError, match="web: sent a picture of 65500 by 65500 px; allowed"):
-        decoded(served, "web")
+        decoded(jpeg_of(65_500, 65_500), "web")

@@ -380,7 +380,7 @@ def test_a_worker_with_another_disk_of_the_same_name_is_refused(
     folder = tmp_path / "shared"
     folder.symlink_to(tmp_path / "ours")
     assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
-    told = f"the worker at .* has another folder of the same name .got '{folder}'"
+    told = r"the worker at .* has another folder of the same name .got '/.*/shared'"
     with pytest.raises(InputError, match=told):
         list(in_order(in_threads, Path.touch, OnAnotherDisk([folder]), str, folder=folder))
     assert list((tmp_path / "theirs").iterdir()) == []
