@@ -77,8 +77,12 @@ def open_hdf5(
         try:
             if texts and not _heaps_end(stream):
                 raise ValueError("damaged texts")
-            # By its name: HDF5 reads a stream in twice the time.
-            with h5py.File(file, "r", locking=False) as opened:
+            try:  # by its name: HDF5 reads a stream in twice the time
+                opened = h5py.File(file, "r", locking=False)
+            except OSError:  # as where this program has it open in another way
+                stream.seek(0)
+                opened = h5py.File(stream, "r")
+            with opened:
                 yield opened
         except InputError:
             raise

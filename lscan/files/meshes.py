@@ -1,5 +1,6 @@
 """Mesh files, read safely: triangles in mm."""
 
+import codecs
 import io
 from pathlib import Path
 
@@ -52,7 +53,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if kind not in MOST_BYTES:
         allowed = ", ".join(f".{name}" for name in MOST_BYTES)
         raise InputError("is no kind of mesh file", where=path, value=path.suffix, allowed=allowed)
-    content = read_bytes(path, MOST_BYTES[kind])
+    content = read_bytes(path, MOST_BYTES[kind]).removeprefix(codecs.BOM_UTF8)
     if not content:
         raise InputError("is an empty file", where=path)
     try:

@@ -149,7 +149,7 @@ def _ply_rows(
                 fields.append((name, kind))
         return np.dtype(fields)
 
-    if element.count == 0:
+    if element.count == 0 or not types:  # rows without anything in them, however many
         return [], body
     if not lengths:
         values = np.frombuffer(body, row(()), element.count)

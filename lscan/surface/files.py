@@ -28,6 +28,8 @@ MODES = {
     "alignment, when it is one standard deviation large"
 }
 COORDINATES = "x y position"
+COMMON = "sigma_calibration"
+UNLIKE = 0.05  # of the size of modes: packed ones are rounded
 
 
 def save_surface(path: Path | str, surface: Surface) -> None:
@@ -109,7 +111,7 @@ def load_surface(path: Path | str) -> Surface:
     """
     path = Path(path)
     names = ("x", "y", "z", "x_sigma", "z_sigma", "status", "position")
-    arrays, attributes = read_arrays(path, names, optional=("y_sigma", "modes"))
+    arrays, attributes = read_arrays(path, names, optional=("y_sigma", "modes", COMMON))
     frame, corrections = attributes.get("frame"), attributes.get("corrections", "")
     if not isinstance(frame, str) or frame not in ("head", "workpiece"):
         allowed = "head, workpiece"
@@ -126,6 +128,10 @@ def load_surface(path: Path | str) -> Surface:
     for name in ("x_sigma", "y_sigma", "z_sigma"):
         if name in arrays and not (arrays[name][there] >= 0).all():
             raise InputError(f"{name}: is no uncertainty at a point that has a value", where=path)
+        if name in arrays and np.isinf(arrays[name][there]).any():
+            raise InputError(f"{name}: is infinite at a point that has a value", where=path)
+    if "modes" in arrays:
+        _require_whole_modes(path, arrays["modes"], arrays.get(COMMON), there)
     return Surface(
         xyz_mm=xyz,
         sigma_x_mm=arrays["x_sigma"],
@@ -166,6 +172,27 @@ def _provenance(path: Path, attributes: Mapping[str, Any]) -> Provenance | None:
     if pictures.dtype.kind in "iu" and pictures.size == 1:
         known["pictures"] = pictures.item()
     return check(StoredProvenance, known, where=path).provenance()
+
+
+def _require_whole_modes(path: Path, modes: Floats, common: Floats | None, there: Mask) -> None:
+    """Refuse modes of which another program has dropped some, or what some points have of them.
+
+    common: (F, N) mm, what they are of z in all; None where the file does not say.
+    """
+    total = np.sqrt(np.square(modes[..., 2, :], dtype=np.float64).sum(axis=-1))[there]
+    if not np.isfinite(modes[there]).all():
+        raise InputError("modes: are not known at a point that has a value", where=path)
+    if common is None or total.size == 0:
+        return
+    stated = common[there]
+    apart = np.abs(total - stated) > UNLIKE * (stated + np.median(stated))
+    if np.isnan(stated).any() or apart.any():
+        raise InputError(
+            f"modes: are not those whose size {COMMON} states",
+            where=path,
+            value=f"{int(apart.sum())} points",
+            allowed="all modes, as the file was written with",
+        )
 
 
 def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:
@@ -217,7 +244,7 @@ def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]
 
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
     # Of z alone: what stands beside a coordinate is lost in iris.
-    beside = "z_sigma status" + (surface.modes_mm is not None) * " sigma_calibration"
+    beside = "z_sigma status" + (surface.modes_mm is not None) * f" {COMMON}"
     codes = np.array([int(status) for status in Status], dtype=np.int8)
     arrays = {
         "x": array(x, f"x in the {where} frame", **LENGTH),
@@ -237,7 +264,7 @@ def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]
     if surface.modes_mm is not None:
         common = np.sqrt(np.square(surface.modes_mm[..., 2, :], dtype=np.float64).sum(axis=-1))
         name = "part of z_sigma that calibration and alignment give to all points in common"
-        arrays["sigma_calibration"] = measured(common, name, **LENGTH)
+        arrays[COMMON] = measured(common, name, **LENGTH)
         modes = {**MODES, "coordinates": COORDINATES, **LENGTH}
         arrays["modes"] = NetcdfArray((*DIMENSIONS, "axis", "mode"), surface.modes_mm, modes)
     track = {"long_name": "track position of the profile", **LENGTH}

@@ -63,7 +63,10 @@ def require_head_frame(surface: Surface) -> None:
     """
     if surface.frame != "head":
         raise InputError(
-            "is aligned already", where="surface", value=surface.frame, allowed="the head frame"
+            "is aligned already",
+            where="surface",
+            value=surface.frame,
+            allowed="the head frame, as of a rig that names no sandwave in [workpiece]",
         )
 
 

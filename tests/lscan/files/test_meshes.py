@@ -1,5 +1,6 @@
 """Mesh files of other programs: faces of many corners, formats' variants, colours."""
 
+import codecs
 import struct
 from pathlib import Path
 
@@ -148,6 +149,24 @@ def test_a_ply_file_of_an_old_program_is_read(tmp_path: Path) -> None:
     mesh = load_mesh(tmp_path / "old.ply")
     assert mesh.area == pytest.approx(1.0)
     np.testing.assert_array_equal(mesh.vertices[:, 2], 2.0)
+
+
+@pytest.mark.parametrize("kind", ["obj", "off", "ply"])
+def test_a_byte_order_mark_is_no_part_of_a_mesh(tmp_path: Path, kind: str) -> None:
+    plain = written(tmp_path / f"text.{kind}", *prism([(0, 0), (2, 0), (0, 1)], 3.0))
+    marked = tmp_path / f"marked.{kind}"
+    marked.write_bytes(codecs.BOM_UTF8 + plain.read_bytes())
+    one, other = load_mesh(plain), load_mesh(marked)
+    np.testing.assert_array_equal(one.vertices, other.vertices)
+    np.testing.assert_array_equal(one.faces, other.faces)
+
+
+def test_rows_of_nothing_take_no_memory(tmp_path: Path) -> None:
+    plain = written(tmp_path / "text.ply", *prism([(0, 0), (2, 0), (0, 1)], 3.0))
+    text = plain.read_bytes()
+    many = tmp_path / "many.ply"
+    many.write_bytes(text.replace(b"end_header", b"element junk 1000000000000\nend_header", 1))
+    np.testing.assert_array_equal(load_mesh(many).faces, load_mesh(plain).faces)
 
 
 def test_an_obj_file_counts_back_from_where_it_is(tmp_path: Path) -> None:

@@ -193,6 +193,40 @@ def test_a_point_that_was_masked_has_no_data(
     np.testing.assert_array_equal(status, np.where(masked, Status.NO_DATA, surface.status))
 
 
+def _unknown_mode(data: xr.Dataset) -> xr.Dataset:
+    data["modes"][0, 0, 0, 0] = np.nan
+    return data
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda data: data.isel(mode=slice(0, 1)), "modes: are not those whose size sigma_cal"),
+        (lambda data: data.isel(mode=slice(0, 0)), "modes: "),
+        (lambda data: data.assign(modes=0 * data["modes"]), "modes: are not those"),
+        (_unknown_mode, "modes: are not known at a point"),
+        (lambda data: data.assign(z_sigma=np.inf * data["z_sigma"]), "z_sigma: is infinite"),
+    ],
+)
+def test_what_points_share_is_whole_or_refused(
+    data: xr.Dataset, tmp_path: Path, harm: Callable[[xr.Dataset], xr.Dataset], said: str
+) -> None:
+    """Without a mode heights that it moves together would average as if they erred alone."""
+    attributes = {name: dict(data[name].attrs) for name in data.variables}
+    harmed = harm(data)
+    for name, notes in attributes.items():
+        harmed[name].attrs.update(notes)
+    harmed.to_netcdf(tmp_path / "harmed.nc", engine="h5netcdf")
+    with pytest.raises(InputError, match=said):
+        load_surface(tmp_path / "harmed.nc")
+
+
+def test_a_surface_that_this_program_has_open_is_read(saved: Path, surface: Surface) -> None:
+    """As in a notebook: HDF5 refuses to open one file in two ways."""
+    with h5py.File(saved, "r"):
+        assert_same(load_surface(saved), surface)
+
+
 def attribute(name: str, key: str, value: Any) -> Callable[[xr.Dataset], xr.Dataset]:
     return lambda data: data.assign({name: data[name].assign_attrs({key: value})})
 

@@ -196,7 +196,9 @@ def test_growing_ends_where_more_runs_were_not_agreed_to(finished: Path, tmp_pat
     found = CliRunner().invoke(app, [*arguments, "--resume", "--at-most", "100"])
     assert found.exit_code == 0, found.output
     assert "more than the 100 runs agreed to" in found.output
-    assert any("known less well than ± 1e-12" in line for line in load_results(tmp_path / "out").notes)
+    assert any(
+        "known less well than ± 1e-12" in line for line in load_results(tmp_path / "out").notes
+    )
 
 
 @pytest.mark.parametrize(
