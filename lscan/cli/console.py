@@ -1,5 +1,6 @@
 """What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
 
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -97,6 +98,13 @@ def _run_command_line(app: typer.Typer, name: str) -> NoReturn:
     try:
         with long_work_shown(progress_bar):
             code = command.main(prog_name=name, standalone_mode=False)
+        sys.stdout.flush()
+    except OSError as error:
+        if error.filename is not None:  # not of what is printed
+            raise
+        # What is left to be printed goes nowhere, or Python would fail once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        _leave(name, f"standard output cannot be written: {error.strerror}", FAILED)
     except LscanError as error:
         message = "; ".join([str(error), *getattr(error, "__notes__", ())])
         _leave(name, message, error.exit_code)

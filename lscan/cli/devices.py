@@ -42,7 +42,8 @@ def devices(
 
     For RIG it also lists what its devices can do, as known to their drivers without opening them.
     For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
-    track's way clear by 2 mm.  The laser is switched on and off if the plan switches it.
+    track's way clear by 2 mm, all of it where the track homes when it is opened.  The laser is
+    switched on and off if the plan switches it.
     """
     from lscan.config.rigfile import load_rig
     from lscan.errors import InputError

@@ -109,8 +109,8 @@ def extract(
     wide_px = _width_px(image, settings, stripes[0]) if settings.extractor in BY_SPAN else 0.0
     if wide_px > seen_px:
         note(
-            f"the line is {wide_px:.0f} px wide at half its height, of which {settings.extractor} "
-            f"sees {seen_px}: try --extractor ml, or a larger --span-px"
+            f"the line is at least {wide_px:.0f} px wide at half its height, of which "
+            f"{settings.extractor} sees {seen_px}: try --extractor ml, or a larger --span-px"
         )
     if rig is roi is mask is None:
         shows_more = partial(_shows_more, image, dark, settings, stripes[0])

@@ -53,11 +53,14 @@ class Access:
 
     @property
     def remark(self) -> str:
-        """Who can move the track, in a line beneath the addresses."""
+        """Who can move the track and switch the laser, in a line beneath the addresses."""
         if self.token is None:
-            return "every user of this machine can move the track; --token keeps others out"
-        seen = "" if self.host in LOOPBACK else ", and plain HTTP shows it to the network between"
-        return f"everybody with this address can move the track{seen}"
+            return (
+                "every user of this machine can move the track and switch the laser; --token keeps "
+                "others out"
+            )
+        seen = "" if self.host in LOOPBACK else "; plain HTTP shows the address to the network"
+        return f"everybody with this address can move the track and switch the laser{seen}"
 
     def refusal(
         self, headers: Mapping[str, str], query_token: str | None = None, commands: bool = False

@@ -1,5 +1,6 @@
 """``lscan-sim serve``: the hardware switched on, said where, and left running until stopped."""
 
+import os
 import signal
 import sys
 from contextlib import ExitStack
@@ -12,6 +13,7 @@ from lscan.cli.arguments import Json
 from lscan.cli.console import note, print_json, progress_bar
 from lscan.devices.signals import STOPPING, on_stop_signals
 from lscan.errors import InputError
+from lscan.files.disk import read_text
 from sim.cli.arguments import print_places
 
 
@@ -106,12 +108,24 @@ def serve(
 
 
 def _rig_files(scenes: list[Path], write_rig: Path | None) -> list[Path | None]:
-    """Where each scene's rig file goes: of several into a folder, by the scene's name."""
-    if write_rig is None or len(scenes) == 1:
-        return [write_rig] * len(scenes)
-    files = [write_rig / f"{scene.stem}.toml" for scene in scenes]
+    """Where each scene's rig file goes: of several into a folder, by the scene's name.
+
+    Nothing but what this command wrote is replaced, least of all a scene.
+    """
+    from sim.emulators.rigfile import HEADING
+
+    if write_rig is None:
+        return [None] * len(scenes)
+    files = [write_rig]
+    if len(scenes) > 1:
+        files = [write_rig / f"{scene.stem}.toml" for scene in scenes]
     if len(set(files)) < len(files):
-        raise InputError("are of one name", where="scenes", value=[scene.stem for scene in scenes])
+        names = ", ".join(str(scene) for scene in scenes)
+        raise InputError("would have rig files of one name", where="scenes", value=names)
+    for file in files:
+        if os.path.lexists(file) and not read_text(file).startswith(HEADING):
+            allowed = "a new file, or one that lscan-sim serve wrote"
+            raise InputError("is another file", where=file, allowed=allowed)
     return [*files]
 
 

@@ -97,13 +97,14 @@ def test_board_and_scan_are_served_in_one_go(scene_file: Path, tmp_path: Path) -
         assert load_rig(Path(place["rig"])).rig.camera.options["url"] == place["url"]
 
 
-def test_several_scenes_have_no_link_in_common(
+def test_what_cannot_be_served_is_refused_before_it_is_rendered(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["lscan-sim", "serve", str(scene_file), str(scene_file), "--link", "track"]
     for arguments, what in (
         (words, "--link: goes with one scene"),
-        ([*words[:4], "--write-rig", "rigs"], "scenes: are of one name"),
+        ([*words[:3], "--write-rig", str(scene_file)], f"{scene_file}: is another file"),
+        ([*words[:4], "--write-rig", "rigs"], "scenes: would have rig files of one name"),
     ):
         monkeypatch.setattr(sys, "argv", arguments)
         with pytest.raises(SystemExit) as end:

@@ -1,7 +1,10 @@
 """What the command lines show: whole help, names of strangers as they are, words for nothing."""
 
 import re
+import subprocess
+import sys
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import pytest
 from command_line import call
@@ -80,3 +83,13 @@ def test_a_length_is_printed_in_words() -> None:
     assert str(Length(60.0, 60.012, 0.0443)) == "60.012 ± 0.044 mm, nominal 60 mm"
     assert str(Length(60.0, 60.01, 0.17)) == "60.01 ± 0.17 mm, nominal 60 mm"
     assert "± unknown" in str(Length(60.0, 60.0, float("nan")))
+
+
+def test_standard_output_that_takes_nothing_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "lscan.cli.app", "scenes"],
+            stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr == "lscan: standard output cannot be written: No space left on device\n"

@@ -56,7 +56,7 @@ def test_a_line_wider_than_the_span_is_said(
     write_picture(tmp_path / "wide.png", np.rint(line).astype(np.uint8))
     code, _, err = call(capsys, "extract", tmp_path / "wide.png", "--extractor", extractor)
     assert code == 0
-    assert ("14 px wide at half its height" in err and "--extractor ml" in err) == hint
+    assert ("at least 14 px wide at half its height" in err and "--extractor ml" in err) == hint
 
 
 def test_how_viewers_turn_a_picture_is_said(

@@ -149,8 +149,8 @@ def named(*numbers):
 def test_it_is_said_who_can_move_the_track_and_who_can_read_the_token() -> None:
     assert "every user of this machine" in grant("127.0.0.1", 80, None).remark
     own, all_of_it = (grant(host, 80, "correct-horse").remark for host in ("::1", "0.0.0.0"))
-    assert own == "everybody with this address can move the track"
-    assert all_of_it == f"{own}, and plain HTTP shows it to the network between"
+    assert own == "everybody with this address can move the track and switch the laser"
+    assert all_of_it == f"{own}; plain HTTP shows the address to the network"
 
 
 def test_everywhere_has_an_address_for_each_number_and_the_name_last(monkeypatch):

@@ -463,7 +463,9 @@ def test_a_signal_ends_the_scan_after_its_frame(tmp_path: Path, number: int) -> 
         process.send_signal(number)
         out, err = process.communicate(timeout=LONG_S)
     assert (process.returncode, err) == (0, "")
-    assert remark.startswith("every user of this machine can move the track; --token keeps")
+    assert remark.startswith(
+        "every user of this machine can move the track and switch the laser; -"
+    )
     folder = output / "scan-001"
     assert out.splitlines() == [
         "track closed",
