@@ -49,5 +49,6 @@ def install(wheel: Path, folder: Path, tank: bool = True) -> Path:
 
 
 def clean() -> dict[str, str]:
-    """This environment without what leads Python back to the checkout."""
-    return {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+    """This environment without what leads Python back to the checkout, and as a user's own."""
+    names = (name for name in os.environ if not name.startswith("PYTHON") and name != "CI")
+    return {name: os.environ[name] for name in names}
