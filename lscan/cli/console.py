@@ -1,5 +1,6 @@
 """What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
 
+import errno
 import os
 import sys
 import time
@@ -24,6 +25,7 @@ from lscan.version import __version__
 
 FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
+_OUTPUT_FAILS = (errno.ENOSPC, errno.EIO, errno.EBADF)  # files that lscan writes are named
 SAID_EVERY_S = 60.0  # of long work where no terminal shows a bar
 
 _bars: list[rich_progress.Progress] = []  # what draws all bars that there are: one or none
@@ -100,7 +102,7 @@ def _run_command_line(app: typer.Typer, name: str) -> NoReturn:
             code = command.main(prog_name=name, standalone_mode=False)
         sys.stdout.flush()
     except OSError as error:
-        if error.filename is not None:  # not of what is printed
+        if error.filename is not None or error.errno not in _OUTPUT_FAILS:  # a connection's, say
             raise
         # What is left to be printed goes nowhere, or Python would fail once more at its end.
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

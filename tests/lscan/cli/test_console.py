@@ -93,3 +93,18 @@ def test_standard_output_that_takes_nothing_is_one_line() -> None:
         )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr == "lscan: standard output cannot be written: No space left on device\n"
+
+
+def test_another_error_of_the_system_is_not_taken_for_one_of_standard_output(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Such as a connection's, which has no file's name either."""
+    app = console.command_line("test")
+
+    @app.command()
+    def scan() -> None:
+        raise ConnectionResetError(104, "Connection reset by peer")
+
+    monkeypatch.setattr(sys, "argv", ["test"])
+    with pytest.raises(ConnectionResetError):
+        console.run_command_line(app, "test")
