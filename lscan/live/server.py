@@ -27,7 +27,13 @@ from lscan.live.admission import REQUEST_S, AccessMiddleware, BrowserConnection
 from lscan.live.files import page_files
 from lscan.live.session import Session
 
-BACKLOG = 64  # connections that wait to be taken, and so are taken at once
+TAKEN_AT_ONCE = 8
+"""Connections taken in a round of the loop.  One too many is closed three rounds later, so that
+some four times as many may be open beyond the most: few of the files that are kept for a scan."""
+
+WAITING = 128
+"""Connections that wait to be taken; one more would ask again after a second (RFC 6298)."""
+
 LONGEST_WAIT_S = 5.0
 LONGEST_BODY = 10_000  # bytes; a command takes some fifty
 
@@ -184,6 +190,11 @@ class LiveServer(uvicorn.Server):
         super().__init__(config)
         self._page = page
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        for listening in sockets or []:  # asyncio knows one number for both
+            listening.listen(WAITING)
+
     def stop(self) -> None:
         """End soon: those who wait for a picture are let go, nothing new is taken on.
 
@@ -250,7 +261,7 @@ def make_server(session: Session, access: Access) -> LiveServer:
         access_log=False,
         lifespan="on",
         http=BrowserConnection,
-        backlog=BACKLOG,
+        backlog=TAKEN_AT_ONCE,
         ws="none",
         server_header=False,
         timeout_graceful_shutdown=2,

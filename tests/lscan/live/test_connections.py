@@ -18,7 +18,7 @@ from live_served import served
 from lscan.errors import DiskError, InputError
 from lscan.files.disk import disk_errors, read_bytes
 
-CLIENTS, SPARE_FILES = 300, 200
+CLIENTS, SPARE_FILES = 300, 160
 
 # Every third sends nothing, every third half a request, every third all of it but the body.
 CLIENT = """
