@@ -203,8 +203,8 @@ def acquire_into(
     """
     plan = writer.rig_file.rig.plan
     positions_mm = plan.positions_mm()
-    if progress is not None:
-        progress(writer.written, writer.planned)
+    report = progress or (lambda done, planned: None)
+    report(writer.written, writer.planned)
     longest_s = longest_grab_s(camera)
     if writer.manifest.laser_may_be_lit and isinstance(track, LaserSwitch):
         _ScanLaser(track, writer, longest_s).end()
@@ -221,8 +221,7 @@ def acquire_into(
             frame = devices.take(writer.written, positions_mm[writer.written])
             with nullcontext() if laser is None else laser.watched("the disk or the screen"):
                 writer.append(frame)
-                if progress is not None:
-                    progress(writer.written, writer.planned)
+                report(writer.written, writer.planned)
     return writer.finish()
 
 
@@ -245,10 +244,9 @@ def _keeping_zero(writer: RunWriter, track: Track) -> Iterator[None]:
     writer.keep(track_zero=track.zero)
     try:
         yield
-    except BaseException:
+    finally:
         with suppress(InputError):  # the first fault is the one to report
             writer.keep(track_zero=track.zero)
-        raise
 
 
 @contextmanager

@@ -1,11 +1,15 @@
 """A headless Chromium with a phone's screen as well, whose consoles are read."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from contextlib import contextmanager
-
-from playwright.sync_api import Browser, ConsoleMessage, Page
+from typing import TYPE_CHECKING
 
 from sim.testing.browser import TIMEOUT_MS
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, ConsoleMessage, Page
 
 
 class Chromium:

@@ -150,8 +150,8 @@ def test_the_command_judges_boards_and_notices_a_change(suite, tmp_path, capsys)
     mine, theirs = _named(exact_reader), _named(off_reader)
     options = ["bench", "--suite", suite, "--boards", "--only", "-o", tmp_path / "one"]
     code, out, _ = call(capsys, *options, "--reader", mine, "--reader", _named(same_reader))
-    assert (code, out.splitlines()[-2:]) == (0, ["nothing differs", str(options[-1] / "bench.json")])
-    assert "" not in out.splitlines()
+    assert code == 0 and "" not in out.splitlines()
+    assert out.splitlines()[-2:] == ["nothing differs", str(options[-1] / "bench.json")]
     saved = tmp_path / "one" / "bench.json"
     content = json.loads(saved.read_text())
     assert content["suite"].startswith("boards of boards seed 7")

@@ -11,6 +11,8 @@ from planeviews import PAPER_BOARD, paper_board
 
 from lscan.calibration.file import load_calibration
 from lscan.calibration.maps import auto
+from lscan.config.documents import read_document
+from lscan.config.toml import write_toml
 from lscan.files.pictures import write_picture
 
 pytestmark = pytest.mark.xdist_group("cli_check")  # one worker: they share a fixture
@@ -61,6 +63,25 @@ def test_auto_prints_its_table(
     assert summary["chosen"] == summary["scores"][0]["name"]
     assert [score["name"] for score in summary["scores"]][-1] == "nothing"
     assert load_calibration(tmp_path / "c.json").optics.focal_px == (850.0, 30.0)
+
+
+@pytest.mark.parametrize(("kind", "name"), [("dot", "B4"), ("ring", "E")])
+def test_a_mark_that_the_board_file_has_elsewhere_is_named(
+    pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, name: str
+) -> None:
+    """20 mm off, one of several: the control points do without it, so the rest is as it was."""
+    document = read_document(PAPER_BOARD)
+    moved = next(mark for mark in document[kind] if mark["name"] == name)
+    moved["x_mm"] += 20.0
+    write_toml(tmp_path / "board.toml", document)
+    options = ("-o", tmp_path / "c.json", "--map", "projective", "--json")
+    for board, said in ((PAPER_BOARD, ""), (tmp_path / "board.toml", f"has them: {name}; ")):
+        code, out, err = call(
+            capsys, "calibrate", pictures / "first.png", "--board", board, *options
+        )
+        assert code == 0, err
+        assert json.loads(out)["control_points"]["found"] == 100
+        assert said in err if said else err == ""
 
 
 def test_check_agrees_with_the_same_board(
