@@ -107,7 +107,7 @@ def test_what_cannot_be_served_is_refused_before_it_is_rendered(
     other = scene_file.with_name("other.toml")
     other.write_bytes(scene_file.read_bytes())
     no_folder = f"{other}: cannot be made a folder"
-    monkeypatch.setattr(EmulatedHardware, "__enter__", lambda _: pytest.fail("is opened"))
+    monkeypatch.setattr(EmulatedHardware, "__init__", lambda *_: pytest.fail("is rendered"))
     for arguments, what in (
         (words, "--link: goes with one scene"),
         ([*words[:3], "--write-rig", str(scene_file)], f"{scene_file}: is another file"),
