@@ -30,7 +30,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from sim.testing.browser import Chromium
+    from chromium import Chromium
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "PYTEST_XDIST_WORKER" in os.environ:  # as many of them render as there are cores
@@ -141,7 +141,9 @@ def chromium() -> Iterator["Chromium"]:
 
     try:
         with headless_chromium() as browser:
-            yield browser
+            from chromium import Chromium  # needs Playwright
+
+            yield Chromium(browser)
     except BrowserMissing as missing:
         pytest.skip(str(missing))
 

@@ -18,6 +18,7 @@ import os
 import platform
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -30,7 +31,8 @@ from lscan.config.documents import Document, Strict, check
 from lscan.config.plugins import others_versions, refuse_code
 from lscan.config.rig import Plan, Rig
 from lscan.config.rigfile import RigFile, parse_rig
-from lscan.errors import InputError
+from lscan.devices.api import LASER_MAY_BE_LIT
+from lscan.errors import InputError, LscanError
 from lscan.files.disk import list_names, read_bytes, require_within
 from lscan.files.jsontext import read_json
 from lscan.files.longwork import long_work
@@ -56,6 +58,8 @@ class Manifest(Strict):
     that is unknown.
     files: SHA-256 of each file that the rig names, such as a mesh, by its path; left out where it
     names none.
+    laser_may_be_lit: from before the scan lights the laser until it is known to be off; left out
+    from then on.
     """
 
     format: Literal["lscan-run"] = "lscan-run"
@@ -67,6 +71,7 @@ class Manifest(Strict):
     track_zero: str | None = Field(default=None, exclude_if=lambda zero: zero is None)
     camera_identity: str | None = Field(default=None, exclude_if=lambda identity: identity is None)
     files: dict[str, str] = Field(default_factory=dict, exclude_if=lambda files: not files)
+    laser_may_be_lit: bool = Field(default=False, exclude_if=lambda lit: not lit)
 
     def as_text(self) -> str:
         """The file's text: JSON with, as its last key, the SHA-256 of its meaning."""
@@ -311,6 +316,24 @@ def read_manifest(path: Path) -> tuple[Manifest, RigFile]:
     if rig_file.rig.plan != manifest.plan:
         raise InputError("plan and rig.plan differ", where=file)
     return manifest, rig_file
+
+
+@contextmanager
+def laser_warning_repeated(path: Path) -> Iterator[None]:
+    """Note with an error of the block that the laser may be lit, where the run says so.
+
+    Parameters
+    ----------
+    path : Path, of the run folder
+    """
+    try:
+        yield
+    except BaseException as error:
+        with suppress(LscanError):
+            lit = Manifest.from_file(path / MANIFEST).laser_may_be_lit
+            if lit and LASER_MAY_BE_LIT not in getattr(error, "__notes__", ()):
+                error.add_note(LASER_MAY_BE_LIT)
+        raise
 
 
 def software_versions(plugins: Iterable[tuple[str, str]] = ()) -> Versions:

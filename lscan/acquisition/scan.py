@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.acquisition.run import Run, open_run
+from lscan.acquisition.run import Run, laser_warning_repeated, open_run
 from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
-from lscan.config.rig import CameraSection, Plan
+from lscan.config.rig import CameraSection
 from lscan.config.rigfile import RigFile, drivers_of
 from lscan.devices.api import (
     LASER_MAY_BE_LIT,
@@ -65,7 +65,8 @@ def scan(
         Where the folder cannot be used.
     DeviceError
         Where a device fails; what was recorded until then can be resumed.  Devices are closed
-        in all cases.  A laser that could not be switched off is spoken of in a note.
+        in all cases.  A laser that could not be switched off is spoken of in a note, again
+        with each error of a resumption, until it is known to be off.
     KeyboardInterrupt
         By a signal that would otherwise end the process with the laser lit, such as SIGTERM or
         SIGHUP, unless the caller handles it.
@@ -79,8 +80,8 @@ def scan(
     """
     path = Path(path)
     if resume:
-        with resume_run(path, rig_file) as writer:
-            if writer.written == writer.planned:
+        with laser_warning_repeated(path), resume_run(path, rig_file) as writer:
+            if writer.written == writer.planned and not writer.manifest.laser_may_be_lit:
                 return writer.finish()
             with open_devices(rig_file) as (camera, track):
                 return acquire_into(
@@ -202,13 +203,17 @@ def acquire_into(
     """
     plan = writer.rig_file.rig.plan
     positions_mm = plan.positions_mm()
-    if progress is not None:
-        progress(writer.written, writer.planned)
+    report = progress or (lambda done, planned: None)
+    report(writer.written, writer.planned)
+    longest_s = longest_grab_s(camera)
+    if writer.manifest.laser_may_be_lit and isinstance(track, LaserSwitch):
+        _ScanLaser(track, writer, longest_s).end()
+    if writer.written == writer.planned:
+        return writer.finish()
     writer.keep_camera(camera)
     if not position_restored:
         _check_place(writer, track, positions_mm)
-    longest_s = longest_grab_s(camera)
-    with _keeping_zero(writer, track), _scan_laser(track, plan, longest_s) as laser:
+    with _keeping_zero(writer, track), _scan_laser(track, writer, longest_s) as laser:
         devices = _ScanDevices(writer.rig_file.rig.camera, camera, track, laser, plan.paired)
         while writer.written < writer.planned:
             if go_on is not None and not go_on():
@@ -216,17 +221,15 @@ def acquire_into(
             frame = devices.take(writer.written, positions_mm[writer.written])
             with nullcontext() if laser is None else laser.watched("the disk or the screen"):
                 writer.append(frame)
-                if progress is not None:
-                    progress(writer.written, writer.planned)
+                report(writer.written, writer.planned)
     return writer.finish()
 
 
 def _check_place(writer: RunWriter, track: Track, positions_mm: list[float]) -> None:
     """Raise DeviceError where a scan that goes on might put its frames at shifted places."""
-    if writer.last_mm is None or writer.written == writer.planned:
-        return
-    if isinstance(track, PlaceChecking):
-        track.check_place(writer.last_mm, positions_mm[writer.written], writer.zero)
+    if writer.last_mm is not None and isinstance(track, PlaceChecking):
+        next_mm, zero = positions_mm[writer.written], writer.manifest.track_zero
+        track.check_place(writer.last_mm, next_mm, zero)
 
 
 @contextmanager
@@ -238,28 +241,29 @@ def _keeping_zero(writer: RunWriter, track: Track) -> Iterator[None]:
     if not isinstance(track, PlaceChecking) or track.zero is None:
         yield
         return
-    writer.keep_zero(track.zero)
+    writer.keep(track_zero=track.zero)
     try:
         yield
-    except BaseException:
+    finally:
         with suppress(InputError):  # the first fault is the one to report
-            writer.keep_zero(track.zero)
-        raise
+            writer.keep(track_zero=track.zero)
 
 
 @contextmanager
-def _scan_laser(track: Track, plan: Plan, longest_s: float) -> Iterator["_ScanLaser | None"]:
+def _scan_laser(track: Track, writer: RunWriter, longest_s: float) -> Iterator["_ScanLaser | None"]:
     """The laser where the plan switches it, else None; at the end it is off.
 
     For the plan "on" it is lit from the start.  Raises DeviceError where the track has no switch
     and the plan needs one.
     """
+    plan = writer.rig_file.rig.plan
     if plan.laser == "untouched":
         yield None
         return
     if not isinstance(track, LaserSwitch):
         raise DeviceError(f"plan.laser = {plan.laser!r}: this track switches no laser")
-    laser = _ScanLaser(track, longest_s)
+    laser = _ScanLaser(track, writer, longest_s)
+    writer.keep(laser_may_be_lit=True)  # however the program ends
     with no_suspending():
         try:
             if not plan.paired:
@@ -275,11 +279,13 @@ def _scan_laser(track: Track, plan: Plan, longest_s: float) -> Iterator["_ScanLa
 class _ScanLaser:
     """The laser of a scan, which is off while anything takes longer than it may.
 
+    writer: of the run, which keeps whether the laser may be lit.
     longest_s: how long a picture, or anything but a motion, may take while it is lit.
     lit: it is, or may be.
     """
 
     switch: LaserSwitch
+    writer: RunWriter
     longest_s: float
     lit: bool = False
 
@@ -306,6 +312,9 @@ class _ScanLaser:
                 (fault or error).add_note(LASER_MAY_BE_LIT)
                 if fault is None:
                     raise
+            else:
+                with suppress(InputError):  # a warning too many does no harm
+                    self.writer.keep(laser_may_be_lit=False)
 
     @contextmanager
     def watched(self, what: str) -> Iterator[None]:

@@ -68,12 +68,14 @@ class RunWriter:
     written : int, number of frames recorded so far
     last_mm : float or None, mm, the position at which the last of them was taken, None before the
         first
+    manifest : Manifest, what run.json holds
     """
 
     def __init__(
         self, path: Path, rig_file: RigFile, lock: int, rows: Sequence[FrameRow] = ()
     ) -> None:
         self.path, self.rig_file = path, rig_file
+        self.manifest = Manifest.from_file(path / MANIFEST)
         self.written = len(rows)
         self.last_mm = rows[-1].position_mm if rows else None
         table = open_to_append(path / TABLE)
@@ -102,19 +104,14 @@ class RunWriter:
         """Number of frames of the whole scan."""
         return self.rig_file.rig.plan.frames
 
-    @property
-    def zero(self) -> str | None:
-        """Name of the zero that the positions so far count from, as ``keep_zero`` kept it."""
-        return read_manifest(self.path)[0].track_zero
-
-    def keep_zero(self, zero: str | None) -> None:
-        """Write the name of the track's zero into run.json, where it is another one.
+    def keep(self, **values: Any) -> None:
+        """Write run.json with these values of the manifest, where they are others than it has.
 
         Parameters
         ----------
-        zero : str or None, name of the zero; None where the track has none
+        **values : by the names of ``Manifest``, such as ``track_zero``
         """
-        _change_manifest(self.path, track_zero=zero)
+        self.manifest = _with_values(self.path, self.manifest, values)
 
     def keep_camera(self, camera: Camera) -> None:
         """Write into run.json which camera takes a new run, or compare with what it says.
@@ -130,9 +127,9 @@ class RunWriter:
         """
         if not self.written:
             identity = camera.identity if isinstance(camera, Identified) else None
-            _change_manifest(self.path, camera_identity=identity)
+            self.keep(camera_identity=identity)
         else:
-            require_same_camera(read_manifest(self.path)[0].camera_identity, camera)
+            require_same_camera(self.manifest.camera_identity, camera)
 
     def append(self, frame: Frame) -> None:
         """Write the next frame; when this returns, pictures and row are on disk, synced.
@@ -198,7 +195,7 @@ class RunWriter:
             raise InputError(
                 "frames are missing", where=self.path, value=self.written, allowed=self.planned
             )
-        _change_manifest(self.path, state="complete")
+        self.keep(state="complete")
         return open_run(self.path, trusted=True)
 
 
@@ -290,12 +287,12 @@ def _new_manifest(rig_file: RigFile) -> Manifest:
     )
 
 
-def _change_manifest(path: Path, **values: Any) -> None:
-    """Write run.json with these values, where they are others than it has."""
-    before, _ = read_manifest(path)
+def _with_values(path: Path, before: Manifest, values: dict[str, Any]) -> Manifest:
+    """The manifest with these values, written where they are others than it had."""
     manifest = before.model_copy(update=values)
     if manifest != before:
         write_atomically(path / MANIFEST, manifest.as_text().encode())
+    return manifest
 
 
 def _lay_out(path: Path, manifest: Manifest) -> None:
@@ -340,7 +337,7 @@ def _recover(path: Path, rig_file: RigFile) -> tuple[FrameRow, ...]:
         _remove_temporaries(path)
         cut_torn_line(path / TABLE, most_table_bytes(manifest.plan))
         if manifest.software[-1] != (now := recording_versions(rig_file.rig)):
-            _change_manifest(path, software=[*manifest.software, now])
+            _with_values(path, manifest, {"software": [*manifest.software, now]})
     run = open_run(path, trusted=True)  # its rig is the one the user gave
     run.verify()
     return run.rows

@@ -9,7 +9,7 @@ from lscan.cli.benchmark import bench, leaderboard
 from lscan.cli.board import draw_board
 from lscan.cli.calibrate import calibrate, check
 from lscan.cli.compare import compare
-from lscan.cli.console import before_any_command, command_line, run_command_line
+from lscan.cli.console import before_any_command, command_line, run_program
 from lscan.cli.devices import devices
 from lscan.cli.live import live
 from lscan.cli.measure import measure, reconstruct
@@ -35,7 +35,7 @@ app.add_typer(suite, name="suite")
 
 def main() -> None:
     """Entry point of the console script ``lscan``."""
-    run_command_line(app, "lscan")
+    run_program(app, "lscan")
 
 
 if __name__ == "__main__":

@@ -164,14 +164,13 @@ def _end_with_run(
         tables = [by] if by else [[], *([axis] for axis in usual_axes(run))]
         for axes in tables:
             _print_rows(suite_rows(run, axes), unit)
-        if against is None and len(run.judged) > 1:
-            changed_between = between({one.extractor: one.sums for one in run.judged})
-            print(*(one.in_words for one in changed_between), sep="\n")
-        for one in changed:
+        extractors = {one.extractor: one.sums for one in run.judged}
+        compared = between(extractors) if against is None else changed
+        for one in compared:
             print(one.in_words)
         if against is not None and changed:
             print(*changes_in_words(run, against), sep="\n")
-        if against is not None and not changed:
+        if not compared and (against is not None or len(extractors) > 1):
             print("nothing differs")
         print(output / "bench.json")
     worse = sum(one.worse for one in changed)

@@ -16,7 +16,7 @@ from rich.text import Text
 from typer.core import TyperGroup
 
 from lscan.cli.memory import keep_freed_memory
-from lscan.devices.signals import interrupted_by_signals, on_stop_signals
+from lscan.devices.signals import ignore_stop_signals, interrupted_by_signals, on_stop_signals
 from lscan.errors import LscanError, Stopped, missing_package
 from lscan.files.jsontext import json_text
 from lscan.files.longwork import long_work_shown
@@ -78,6 +78,20 @@ def before_any_command(
     ----------
     version : bool, whether it is to say its version and leave
     """
+
+
+def run_program(app: typer.Typer, name: str) -> None:
+    """As ``run_command_line``, in a process that ends with it: signals no longer change its code.
+
+    Parameters
+    ----------
+    app : Typer, the command line with its commands
+    name : str, of the program
+    """
+    try:
+        run_command_line(app, name)
+    finally:
+        ignore_stop_signals()
 
 
 def run_command_line(app: typer.Typer, name: str) -> None:

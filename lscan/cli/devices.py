@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -190,7 +189,8 @@ def _print_camera(camera: CameraTrial) -> None:
         print(
             f"delay: the laser's switching is shown after {camera.delay.longest_ms:.0f} ms at most "
             f"(median {camera.delay.median_ms:.0f} of {camera.delay.switches}); no older picture "
-            f"is taken with camera.options.flush_ms = {math.ceil(camera.delay.longest_ms)}"
+            f"is taken with camera.options.flush_ms = {camera.delay.flush_ms}, which has the "
+            "longest time between two pictures for a margin"
         )
     if camera.dark_dn is not None:
         print(f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN")

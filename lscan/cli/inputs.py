@@ -14,6 +14,7 @@ import numpy as np
 
 from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
+from lscan.board.rings import FEWEST
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.carry import carried
 from lscan.calibration.loading import load_plane_map
@@ -25,7 +26,7 @@ from lscan.config.rig import CalibrationSection, OpticsSection, Rig
 from lscan.errors import InputError
 from lscan.files.pictures import display_turn, read_picture
 from lscan.pipeline import board_expected, mean_picture, require_board, require_size
-from lscan.records import BoardReading, Bytes, Floats, Mask
+from lscan.records import BoardReading, Bytes, Floats, Mask, Status
 from lscan.surface.shaftfile import load_shaft
 
 
@@ -96,12 +97,22 @@ class BoardSource:
     run: Run | None = None
 
     def read(self, seeds: Floats | None, channel: str | None) -> BoardReading:
-        """The marks found; seeds: (3, 2) px; channel: in place of what the rig says."""
+        """The marks found; seeds: (3, 2) px; channel: in place of what the rig says.
+
+        A note names the dots that are not where the board file has them, and the rings of which
+        less than half of the smallest's points are.
+        """
         section = self.calibration
         if channel is not None:
             section = check(CalibrationSection, {"channel": channel}, where=None, prefix="--")
         with board_expected(self.run) if self.run is not None else nullcontext():
-            return read_board(self.image, self.board, seeds=seeds, channel=section.channel)
+            reading = read_board(self.image, self.board, seeds=seeds, channel=section.channel)
+        lost = [name for name, dot in reading.dots.items() if dot.status == Status.NOT_FOUND]
+        lost += [name for name, ring in reading.rings.items() if len(ring.sigma_px) < FEWEST / 2]
+        if lost:
+            where = "check that they are in view and clean, and their places in the board file"
+            note(f"not found where the board file has them: {', '.join(lost)}; {where}")
+        return reading
 
 
 def board_picture(

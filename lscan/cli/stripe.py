@@ -70,7 +70,7 @@ def extract(
     from lscan.config.rig import StripeSection
     from lscan.errors import InputError
     from lscan.files.pictures import write_picture
-    from lscan.records import Status
+    from lscan.records import Status, has_value
     from lscan.stripe import draw_stripe, save_stripe
     from lscan.surface.profile import to_profile
 
@@ -104,6 +104,11 @@ def extract(
     if any((s.status == Status.AMBIGUOUS).mean() > 0.25 for s in stripes):
         note(
             "many columns hold several lines as bright: try --returns first, last or both, or --roi"
+        )
+    if not any(has_value(s.status).any() for s in stripes):
+        note(
+            f"none of the {settings.axis} has a peak above its ground: try another --channel or "
+            "--axis, a lower --threshold-dn; where a wide line leaves no ground, a smaller picture"
         )
     seen_px = 2 * settings.span_px + 1
     wide_px = _width_px(image, settings, stripes[0]) if settings.extractor in BY_SPAN else 0.0

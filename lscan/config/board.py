@@ -13,6 +13,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from scipy.spatial import cKDTree
 
 from lscan.config.documents import Strict, check, read_document
+from lscan.errors import InputError
 from lscan.records import Floats
 
 MOST_MARKS = 10_000  # on one ruler
@@ -206,4 +207,8 @@ def load_board(path: Path) -> Board:
     InputError
         Names the file, the key, the value and what is allowed.
     """
-    return check(Board, read_document(path), where=path)
+    document = read_document(path)
+    if "grid" not in document and {"camera", "track"} & document.keys():
+        allowed = "a file with [grid] and the board's other marks, such as [board] file names"
+        raise InputError("is a rig or scene file, no board file", where=path, allowed=allowed)
+    return check(Board, document, where=path)

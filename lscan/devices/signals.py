@@ -68,6 +68,12 @@ def stop_signals_held() -> Iterator[None]:
             signal.raise_signal(came[0])
 
 
+def ignore_stop_signals() -> None:
+    """Let the signals of STOPPING change nothing any more, for a process that is about to end."""
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_IGN)
+
+
 @contextmanager
 def no_suspending() -> Iterator[None]:
     """Let Ctrl-Z act as Ctrl-C within the block, in which a laser may be lit.

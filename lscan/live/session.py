@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from lscan.acquisition.run import laser_warning_repeated
 from lscan.config.rigfile import RigFile
 from lscan.devices.api import Grab
 from lscan.live.analysis import Figures, measure_line, measure_picture
@@ -17,7 +18,7 @@ from lscan.live.devices import LiveDevices
 from lscan.live.errors import NotNow, one_line
 from lscan.live.focus import BestFocus
 from lscan.live.newest import Newest
-from lscan.live.scanning import Scanning, next_name
+from lscan.live.scanning import Scanning, find_unfinished, next_name
 from lscan.live.wire import board_json, figures_json, jpeg_of, packed
 from lscan.pipeline import require_board
 
@@ -83,7 +84,9 @@ class Session:
         self._commands = threading.Lock()
         self._closing = threading.Event()
         self.frames: Newest[bytes] = Newest()
-        self._devices = LiveDevices(rig_file, self._show)
+        folder, _ = find_unfinished(output, rig_file) or (output, 0)
+        with laser_warning_repeated(folder):
+            self._devices = LiveDevices(rig_file, self._show)
         self.scanning = Scanning(rig_file, self._devices, output)
         self._task_thread: threading.Thread | None = None
         loops = (self._look, self._measure, self._read_boards, self._check_track)

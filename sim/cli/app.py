@@ -1,6 +1,6 @@
 """The command line ``lscan-sim``: thin faces over public functions, one module a topic."""
 
-from lscan.cli.console import before_any_command, command_line, run_command_line
+from lscan.cli.console import before_any_command, command_line, run_program
 from sim.cli.dataset import dataset
 from sim.cli.demo import demo
 from sim.cli.figures import (
@@ -36,7 +36,7 @@ app.add_typer(suite, name="suite")
 
 def main() -> None:
     """Entry point of the console script ``lscan-sim``."""
-    run_command_line(app, "lscan-sim")
+    run_program(app, "lscan-sim")
 
 
 if __name__ == "__main__":

@@ -11,9 +11,9 @@ import typer
 
 from lscan.cli.arguments import Json
 from lscan.cli.console import note, print_json, progress_bar
-from lscan.devices.signals import STOPPING, on_stop_signals
+from lscan.devices.signals import ignore_stop_signals, on_stop_signals
 from lscan.errors import InputError
-from lscan.files.disk import read_text
+from lscan.files.disk import make_folder, read_text
 from sim.cli.arguments import print_places
 
 
@@ -73,26 +73,25 @@ def serve(
         "link": link,
     }
     options = check(ServeOptions, given, where=None, prefix="--")
-    rigs = _rig_files(scenes, write_rig)
     of_one = {"--http-port": http_port, "--link": link, "--fault": fault}
     if len(scenes) > 1 and (given_one := [name for name, value in of_one.items() if value]):
         raise InputError("goes with one scene", where=", ".join(given_one))
     loaded, timed = [load_checked(scene) for scene in scenes], [*map(parse_fault, fault or [])]
+    rigs = _rig_files(scenes, write_rig)
     with (
         on_stop_signals(_leave),
         progress_bar("render") as progress,
         ExitStack() as stack,
     ):
-        served = [
-            stack.enter_context(EmulatedHardware(scene, options, progress)) for scene in loaded
-        ]
+        served = [stack.enter_context(EmulatedHardware(one, options, progress)) for one in loaded]
         found = []
-        for hardware, rig in zip(served, rigs, strict=True):
+        for scene, hardware, rig in zip(scenes, served, rigs, strict=True):
             if rig is not None:
                 hardware.write_rig(rig)
             for one in timed:
                 hardware.schedule(one)
-            place = {"url": hardware.url, "snapshot": hardware.snapshot_url, "port": hardware.port}
+            place = {"scene": str(scene), "url": hardware.url, "snapshot": hardware.snapshot_url}
+            place["port"] = hardware.port
             found.append(place if rig is None else {**place, "rig": str(rig)})
             if not json:
                 print_places(found[-1], json)
@@ -108,7 +107,7 @@ def serve(
 
 
 def _rig_files(scenes: list[Path], write_rig: Path | None) -> list[Path | None]:
-    """Where each scene's rig file goes: of several into a folder, by the scene's name.
+    """Where each scene's rig file goes: of several into a folder, made here, by the scene's name.
 
     Nothing but what this command wrote is replaced, least of all a scene.
     """
@@ -126,11 +125,11 @@ def _rig_files(scenes: list[Path], write_rig: Path | None) -> list[Path | None]:
         if os.path.lexists(file) and not read_text(file).startswith(HEADING):
             allowed = "a new file, or one that lscan-sim serve wrote"
             raise InputError("is another file", where=file, allowed=allowed)
+        make_folder(file.parent)
     return [*files]
 
 
 def _leave() -> None:
     """Leave through every ``with`` block, which a second signal must not cut short."""
-    for number in STOPPING:
-        signal.signal(number, signal.SIG_IGN)
+    ignore_stop_signals()
     sys.exit(0)

@@ -21,7 +21,7 @@ from lscan.errors import LscanError
 from sim.debian import found_or_installed
 
 if TYPE_CHECKING:
-    from playwright.sync_api import Browser, ConsoleMessage, Page
+    from playwright.sync_api import Browser, Page
 
 PACKAGE = "chromium"
 NAMES = ("chromium", "chromium-browser", "google-chrome")
@@ -39,53 +39,9 @@ class BrowserMissing(BrowserError):
     """No Chromium, or no Playwright, on this machine; the line names the package."""
 
 
-class Chromium:
-    """A headless Chromium: ``page`` is its first page, :meth:`phone` opens others.
-
-    Whatever its pages write to their consoles as errors is kept for :meth:`take_errors`.
-    """
-
-    def __init__(self, browser: Browser) -> None:
-        self._browser = browser
-        self._errors: list[str] = []
-        self.page = self._watched(browser.new_page(viewport={"width": 1280, "height": 800}))
-
-    @contextmanager
-    def phone(self, width: int = 390, height: int = 844) -> Iterator[Page]:
-        """A page on a touch screen of so many CSS pixels, two device pixels each."""
-        page = self._browser.new_page(
-            viewport={"width": width, "height": height},
-            is_mobile=True,
-            has_touch=True,
-            device_scale_factor=2,
-        )
-        try:
-            yield self._watched(page)
-        finally:
-            page.close()
-
-    def take_errors(self) -> list[str]:
-        """The errors in the consoles since the last call: exceptions, refusals, failed loads."""
-        for context in self._browser.contexts:
-            for page in context.pages:
-                page.evaluate("1")  # events come in order: earlier ones are here with its answer
-        taken, self._errors = self._errors, []
-        return taken
-
-    def _watched(self, page: Page) -> Page:
-        def note(message: ConsoleMessage) -> None:
-            if message.type in ("error", "assert"):
-                self._errors.append(f"{message.text} {message.location['url']}".rstrip())
-
-        page.on("console", note)
-        page.on("pageerror", lambda error: self._errors.append(f"{error.name}: {error.message}"))
-        page.set_default_timeout(TIMEOUT_MS)
-        return page
-
-
 @contextmanager
-def headless_chromium() -> Iterator[Chromium]:
-    """A Chromium that ends, and whose profile is removed, with the block.
+def headless_chromium() -> Iterator[Browser]:
+    """A Chromium without a window that ends, and whose profile is removed, with the block.
 
     Raises
     ------
@@ -113,7 +69,7 @@ def headless_chromium() -> Iterator[Chromium]:
             reason = output[1] if output else _first_line(error)
             raise BrowserError(f"Chromium does not start ({reason})") from error
         try:
-            yield Chromium(browser)
+            yield browser
         except Error as error:
             raise BrowserError(_first_line(error)) from error
         finally:

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 from places import ROOT, SCENES, tracked
+from typer.core import TyperGroup
+from typer.main import get_command
 
 sys.path.append(str(ROOT / "docs" / "_ext"))
 
@@ -18,7 +20,9 @@ import modelkeys
 import userfiles
 import workspace
 
+from lscan.cli.app import app as instrument
 from lscan.records import Status
+from sim.cli.app import app as tank
 from sim.validation.physics.gallery import scene_files
 
 SECTIONS = [
@@ -142,6 +146,15 @@ def test_the_readme_is_short_and_its_pictures_are_small() -> None:
     pictures = [ROOT / path for path in re.findall(r"!\[[^]]*\]\(([^)]+)\)", readme)]
     assert len(pictures) == 2
     assert all(path.stat().st_size <= 150_000 for path in pictures)
+
+
+def test_the_readme_names_every_command() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for app in (instrument, tank):
+        group = get_command(app)
+        assert isinstance(group, TyperGroup)
+        for name in group.commands:
+            assert f"`{name}`" in readme, name
 
 
 def test_links_of_pages_outside_the_docs_lead_somewhere() -> None:

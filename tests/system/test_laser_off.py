@@ -5,7 +5,9 @@ asked in the end whether its laser is on.
 """
 
 import errno
+import json
 import os
+import shutil
 import signal
 import time
 from collections.abc import Callable
@@ -18,12 +20,13 @@ from command_line import call
 from fake_devices import FakeCamera, fake_rig
 
 import lscan.config.rigfile
+from lscan.acquisition.run import MANIFEST, frame_file
 from lscan.acquisition.scan import scan
 from lscan.config.rigfile import RigFile
 from lscan.devices.api import LASER_MAY_BE_LIT, Grab
 from lscan.devices.grbl import SerialTrackOptions, open_track
 from lscan.devices.signals import STOPPING, interrupted_by_signals, stop_signals_held
-from lscan.errors import DeviceError, DiskError
+from lscan.errors import DeviceError, DiskError, LscanError
 from lscan.live.server import LiveServer
 from lscan.live.session import Session
 from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, MarlinEmulator, SimulatedTime
@@ -43,6 +46,7 @@ class Bench:
     end: Callable[["Bench"], None] = lambda _: None
     again: int | None = None
     """Signal that comes with all that is written to the controller."""
+    cable_out: bool = False
     lines: list["Line"] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -59,6 +63,8 @@ class Bench:
 
     def open(self, rig_file: RigFile) -> Any:
         """The track, as its driver opens it."""
+        if self.cable_out:
+            raise DeviceError("could not open port")
         options = SerialTrackOptions.model_validate(
             {"port": "here", "dialect": self.dialect, "min_mm": 0, "max_mm": 40, "homing": False}
         )
@@ -293,6 +299,58 @@ def test_a_signal_as_another_error_is_dealt_with_keeps_its_notes(
     code, _, said = commands(Bench("marlin", lose), "scan")
     assert (code, said.startswith(f"lscan: stopped; {KEPT}")) == (130, True)
     assert (LASER_MAY_BE_LIT in said) is lost
+
+
+def told_again(bench: Bench, folder: Path, begin: Callable[[], Any], error: str) -> None:
+    """What is begun with the cable out says, each time, that the laser may be lit."""
+    bench.cable_out = True
+    for _ in range(2):
+        with pytest.raises(LscanError, match=error) as refused:
+            begin()
+        assert refused.value.__notes__.count(LASER_MAY_BE_LIT) == 1
+        assert json.loads((folder / MANIFEST).read_text())["laser_may_be_lit"]
+    bench.cable_out = False
+
+
+@pytest.mark.parametrize(
+    ("way", "laser", "dialect"),
+    [
+        ("lost", "on", "grbl"),
+        ("lost", "pairs", "marlin"),
+        ("lost at the end", "on", "marlin"),
+        ("lost at the end", "pairs", "grbl"),
+        ("killed", "on", "grbl"),
+    ],
+)
+def test_whoever_resumes_is_told_again_of_a_laser_that_may_be_lit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, way: str, laser: str, dialect: str
+) -> None:
+    """By command, by the live page and beside another error, until the laser is known to be off.
+
+    Nor does a run that has all its frames become complete without a word.
+    """
+    bench, rig_file, folder = Bench(dialect), fake_rig(FRAMES, laser=laser), tmp_path / "a"
+    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", bench.find_plugin)
+
+    def lose(done: int, planned: int) -> None:
+        if done == (planned if way == "lost at the end" else 1):
+            if way == "killed":  # the folder is then what it is at this moment
+                shutil.copytree(folder, tmp_path / "killed")
+            bench.unplug()
+
+    with pytest.raises(DeviceError):
+        scan(rig_file, folder, progress=lose)
+    if way == "killed":
+        folder = folder.rename(tmp_path / "b").parent / "killed"
+    told_again(bench, folder, lambda: scan(rig_file, folder, resume=True), "could not open")
+    told_again(bench, folder, lambda: Session(rig_file, tmp_path), "could not open")
+    picture = frame_file(folder, 0)
+    picture.rename(tmp_path / "sound")
+    told_again(bench, folder, lambda: scan(rig_file, folder, resume=True), "missing")
+    (tmp_path / "sound").rename(picture)
+    run = scan(rig_file, folder, resume=True, position_restored=True)
+    assert (run.state, bench.lit) == ("complete", False)
+    assert "laser_may_be_lit" not in json.loads((folder / MANIFEST).read_text())
 
 
 LIVE = [

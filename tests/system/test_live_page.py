@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from chromium import Chromium
 from live_mock import (
     CENTRE_PX,
     CLIPPED,
@@ -28,10 +29,7 @@ from live_mock import (
 from places import ROOT
 from playwright.sync_api import Error, Page
 
-from sim.testing.browser import (
-    Chromium,
-    wait_for,
-)
+from sim.testing.browser import wait_for
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: they share a fixture
 

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import pytest
 import report_examples as examples
+from chromium import Chromium
 from playwright.sync_api import Page
 
 from lscan.paper.report import write_report
-from sim.testing.browser import Chromium
 
 pytestmark = pytest.mark.xdist_group("live_page")
 PHONE = (390, 844)

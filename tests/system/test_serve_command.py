@@ -11,9 +11,11 @@ from typing import Any
 import pytest
 from served import small_scene
 
+from lscan.cli.console import run_command_line
 from lscan.config.rigfile import load_rig
 from lscan.config.toml import write_toml
-from sim.cli.app import main
+from sim.cli.app import app
+from sim.emulators.hardware import EmulatedHardware
 
 PATIENCE_S = 120.0
 
@@ -73,11 +75,11 @@ def test_it_says_in_lines_where_everything_is_and_stops_at_ctrl_c(scene_file: Pa
     process = start(scene_file)
     try:
         assert process.stdout is not None
-        lines = [process.stdout.readline() for _ in range(3)]
+        lines = [process.stdout.readline() for _ in range(4)]
         said, errors = stop(process, signal.SIGINT)
     finally:
         process.kill()
-    assert [line.split(": ")[0] for line in lines] == ["url", "snapshot", "port"]
+    assert [line.split(": ")[0] for line in lines] == ["scene", "url", "snapshot", "port"]
     assert (process.returncode, said, errors) == (0, "", "")
 
 
@@ -93,6 +95,7 @@ def test_board_and_scan_are_served_in_one_go(scene_file: Path, tmp_path: Path) -
     assert (process.returncode, errors) == (0, "")
     assert len({place["url"] for place in served} | {place["port"] for place in served}) == 4
     for place, name in zip(served, ("scene", "other"), strict=True):
+        assert place["scene"] == str(tmp_path / f"{name}.toml")
         assert place["rig"] == str(tmp_path / "rigs" / f"{name}.toml")
         assert load_rig(Path(place["rig"])).rig.camera.options["url"] == place["url"]
 
@@ -101,14 +104,20 @@ def test_what_cannot_be_served_is_refused_before_it_is_rendered(
     scene_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["lscan-sim", "serve", str(scene_file), str(scene_file), "--link", "track"]
+    other = scene_file.with_name("other.toml")
+    other.write_bytes(scene_file.read_bytes())
+    no_folder = f"{other}: cannot be made a folder"
+    monkeypatch.setattr(EmulatedHardware, "__init__", lambda *_: pytest.fail("is rendered"))
     for arguments, what in (
         (words, "--link: goes with one scene"),
         ([*words[:3], "--write-rig", str(scene_file)], f"{scene_file}: is another file"),
         ([*words[:4], "--write-rig", "rigs"], "scenes: would have rig files of one name"),
+        ([*words[:3], str(other), "--write-rig", str(other)], no_folder),
+        ([*words[:3], "--write-rig", str(other / "rig.toml")], no_folder),
     ):
         monkeypatch.setattr(sys, "argv", arguments)
         with pytest.raises(SystemExit) as end:
-            main()
+            run_command_line(app, "lscan-sim")
         assert end.value.code == 2
         assert capsys.readouterr().err.startswith(f"lscan-sim: {what}")
 
@@ -131,6 +140,6 @@ def test_a_bad_option_is_one_clear_line(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["lscan-sim", "serve", str(scene_file), option, value])
     with pytest.raises(SystemExit) as end:
-        main()
+        run_command_line(app, "lscan-sim")
     assert end.value.code == 2
     assert tuple(capsys.readouterr()) == ("", f"lscan-sim: {option}: {what}\n")

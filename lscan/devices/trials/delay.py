@@ -5,6 +5,7 @@ nor in their time stamps, which begin at an arbitrary moment.  A change whose ti
 it: the laser is switched, and the first picture of it awaited.
 """
 
+import math
 import statistics
 import time
 from dataclasses import dataclass
@@ -36,12 +37,18 @@ SHOWN = 0.9
 class Delay:
     """From the laser's switching to the picture that shows it.
 
-    longest_ms, median_ms: of so many switches; no picture is older than the longest.
+    longest_ms, median_ms: of so many switches.
+    flush_ms: what to state as ``camera.options.flush_ms``, the longest and a margin.  Of so few
+    switches the longest alone would be exceeded by one picture in ``switches + 1``, whatever the
+    distribution.  The margin is the longest time between two pictures of the hundreds taken while
+    the laser stands: a picture held back by so much more than its predecessor lengthens it by as
+    much, and the period that is in it too is above the tenth of an exposure that SHOWN leaves out.
     """
 
     longest_ms: float
     median_ms: float
     switches: int
+    flush_ms: int
 
 
 def picture_delay(
@@ -68,7 +75,7 @@ def picture_delay(
         Where a device fails.
     """
     try:
-        off, on = (_settled(camera, laser, lit) for lit in (False, True))
+        (off, gap_off_s), (on, gap_on_s) = (_settled(camera, laser, lit) for lit in (False, True))
         change = on - off
         most_dn = np.abs(change).max()
         if most_dn < LEAST_DN:
@@ -86,7 +93,8 @@ def picture_delay(
                 progress(number + 1, SWITCHES)
     finally:
         laser.laser_off()
-    return Delay(max(delays_ms), statistics.median(delays_ms), SWITCHES)
+    flush_ms = math.ceil(max(delays_ms) + 1000 * max(gap_off_s, gap_on_s))
+    return Delay(max(delays_ms), statistics.median(delays_ms), SWITCHES, flush_ms)
 
 
 def _delay_s(
@@ -101,13 +109,15 @@ def _delay_s(
     raise MeasurementError(f"delay: the laser's switching is not shown within {LONGEST_S:g} s")
 
 
-def _settled(camera: Previewing, laser: LaserSwitch, lit: bool) -> Floats:
-    """The mean of some pictures that show the laser so, (H, W)."""
+def _settled(camera: Previewing, laser: LaserSwitch, lit: bool) -> tuple[Floats, float]:
+    """The mean of some pictures that show the laser so, (H, W); the longest wait for one, s."""
     _switch(laser, lit)
-    settled_s = time.monotonic() + SETTLED_S
-    while time.monotonic() < settled_s:
+    came_s = [time.monotonic()]
+    while came_s[-1] < came_s[0] + SETTLED_S:
         camera.preview()
-    return np.asarray(np.mean([_grey(camera) for _ in range(REFERENCES)], axis=0))
+        came_s.append(time.monotonic())
+    mean = np.asarray(np.mean([_grey(camera) for _ in range(REFERENCES)], axis=0))
+    return mean, float(np.diff(came_s).max())
 
 
 def _switch(laser: LaserSwitch, lit: bool) -> None:

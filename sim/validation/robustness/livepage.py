@@ -16,7 +16,7 @@ from lscan.files.disk import make_folder, write_atomically
 from lscan.paper.experiment import measure_board
 from lscan.paper.published import CHOSEN_MAP
 from sim.scene import load_scene
-from sim.testing.browser import headless_chromium, wait_for
+from sim.testing.browser import TIMEOUT_MS, headless_chromium, wait_for
 from sim.validation.robustness.commands import command_running
 from sim.validation.robustness.effort import HardwareEffort
 from sim.validation.rows import Row, row
@@ -41,6 +41,8 @@ def livepage_rows(scenes: Path, folder: Path, effort: HardwareEffort) -> list[Ro
     does not do its part.
     """
     with headless_chromium() as chromium:  # first: it may be missing
+        page = chromium.new_page(viewport={"width": 1280, "height": 800})
+        page.set_default_timeout(TIMEOUT_MS)
         shutil.rmtree(folder, ignore_errors=True)
         make_folder(folder)
         scanned = scan(load_rig(scenes / "paper" / "board.toml"), folder / "board")
@@ -61,8 +63,8 @@ def livepage_rows(scenes: Path, folder: Path, effort: HardwareEffort) -> list[Ro
             command_running(serve, "rig:", folder / "serve.log"),
             command_running(live, "http", folder / "live.log") as (line, _),
         ):
-            chromium.page.goto(line.split()[0])
-            rate_hz = _rate_while_scanning(chromium.page, effort.live_s, folder / "page.png")
+            page.goto(line.split()[0])
+            rate_hz = _rate_while_scanning(page, effort.live_s, folder / "page.png")
     seed = load_scene(scene).tank.sensor.seed
     return [row("live-page", rate_hz, seed=seed, seconds=SHORTEST * effort.live_s)]
 

@@ -28,6 +28,10 @@ def exact_reader(picture, board):
     return reading_of(board, NOISE_PX, np.random.default_rng([9, int(picture.flat[0])]))
 
 
+def same_reader(*picture):
+    return exact_reader(*picture)
+
+
 def off_reader(picture, board):
     """The same, a tenth of a pixel too far right and too far down."""
     found = exact_reader(picture, board)
@@ -145,8 +149,9 @@ def test_a_reader_that_fails_or_gives_other_marks_is_named(suite):
 def test_the_command_judges_boards_and_notices_a_change(suite, tmp_path, capsys):
     mine, theirs = _named(exact_reader), _named(off_reader)
     options = ["bench", "--suite", suite, "--boards", "--only", "-o", tmp_path / "one"]
-    code, out, _ = call(capsys, *options, "--reader", mine, "--json")
-    assert code == 0
+    code, out, _ = call(capsys, *options, "--reader", mine, "--reader", _named(same_reader))
+    assert code == 0 and "" not in out.splitlines()
+    assert out.splitlines()[-2:] == ["nothing differs", str(options[-1] / "bench.json")]
     saved = tmp_path / "one" / "bench.json"
     content = json.loads(saved.read_text())
     assert content["suite"].startswith("boards of boards seed 7")

@@ -266,7 +266,10 @@ def test_bad_input_that_needs_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     refused(call(capsys, "calibrate", flat, "-o", out), "--board")
     pink = ["calibrate", flat, "--board", board, "-o", out, "--channel", "pink"]
     refused(call(capsys, *pink), "lscan: --channel: must be 'red'", "pink")
-    refused(call(capsys, "calibrate", flat, "--board", SCENES / "rig.toml", "-o", out), "rig.toml")
+    refused(
+        call(capsys, "calibrate", flat, "--board", SCENES / "rig.toml", "-o", out),
+        "rig.toml: is a rig",
+    )
     refused(call(capsys, "calibrate", tmp_path, "-o", out), "run.json")
     refused(call(capsys, "calibrate", tmp_path / "nosuch", "-o", out), "no such file or folder")
     refused(call(capsys, "extract", tmp_path / "none.png"), "none.png")

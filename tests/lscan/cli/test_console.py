@@ -108,3 +108,20 @@ def test_another_error_of_the_system_is_not_taken_for_one_of_standard_output(
     monkeypatch.setattr(sys, "argv", ["test"])
     with pytest.raises(ConnectionResetError):
         console.run_command_line(app, "test")
+
+
+def test_signals_that_come_as_the_interpreter_ends_leave_the_exit_code() -> None:
+    code = """
+import atexit, os, signal
+from lscan.cli.console import command_line, run_program
+from lscan.devices.signals import STOPPING
+app = command_line("test")
+@app.command()
+def stop():
+    signal.raise_signal(signal.SIGTERM)
+for number in STOPPING:
+    atexit.register(os.kill, os.getpid(), number)
+run_program(app, "test")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "test: stopped\n")

@@ -59,6 +59,23 @@ def test_a_line_wider_than_the_span_is_said(
     assert ("at least 14 px wide at half its height" in err and "--extractor ml" in err) == hint
 
 
+@pytest.mark.parametrize(("sigma_px", "height_dn"), [(120.0, 180), (2.0, 3)])
+def test_a_line_that_is_found_nowhere_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], sigma_px: float, height_dn: int
+) -> None:
+    """It fills the columns, so that they have no ground, or is below the threshold; then found."""
+    v = np.arange(480, dtype=float)[:, None]
+    line = np.tile(20 + height_dn * np.exp(-((v - 240) ** 2) / (2 * sigma_px**2)), (1, 64))
+    write_picture(tmp_path / "wide.png", np.rint(line).astype(np.uint8))
+    write_picture(tmp_path / "small.png", np.rint(line[::4, ::4]).astype(np.uint8))
+    tried = ["small.png"] if height_dn > 100 else ["wide.png", "--threshold-dn", 1.5]
+    code, out, err = call(capsys, "extract", tmp_path / "wide.png")
+    assert (code, "line found in 0 of 64" in out) == (0, True)
+    assert "none of the columns has a peak" in err and "a smaller picture" in err
+    code, out, err = call(capsys, "extract", tmp_path / tried[0], *tried[1:])
+    assert (code, "found in 0" in out, "has a peak" in err) == (0, False, False)
+
+
 def test_how_viewers_turn_a_picture_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

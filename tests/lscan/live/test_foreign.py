@@ -9,11 +9,12 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from chromium import Chromium
 from fake_devices import LaserTrack
 from live_rig import live_bench
 from live_served import Page, served
 
-from sim.testing.browser import Chromium, wait_for
+from sim.testing.browser import wait_for
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: one Chromium at a time
 TOKEN = "correct-horse"

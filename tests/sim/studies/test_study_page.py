@@ -7,6 +7,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from chromium import Chromium
 from playwright.sync_api import Page
 from study_examples import GROUPS, REASONS, strange_results, study_results
 
@@ -14,7 +15,7 @@ from sim.studies.intervals import Bounded
 from sim.studies.page import figure, headline, kept, render_page, share
 from sim.studies.plots import front_plot, label
 from sim.studies.records import CauseBudget, OutputBudget, StudyResults
-from sim.testing.browser import Chromium, wait_for
+from sim.testing.browser import wait_for
 
 WITHOUT_END = {"meta", "link", "br", "img", "input"}
 

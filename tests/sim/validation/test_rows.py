@@ -9,9 +9,10 @@ from hypothesis import given, settings, strategies as st
 from places import SCENES
 from typer.testing import CliRunner
 
+from lscan.cli.console import run_command_line
 from lscan.errors import InputError
 from lscan.figures.reportfigure import ReportFigure
-from sim.cli.app import app, main
+from sim.cli.app import app
 from sim.validation.physics import run
 from sim.validation.physics.gallery import ScenePicture, gallery, scene_files
 from sim.validation.physics.report import render_page, share_of_bar
@@ -213,7 +214,7 @@ def test_ctrl_c_in_verify_speaks_of_no_scan(
     command = ["lscan-sim", "verify", "-o", str(tmp_path / "out"), "--scenes", str(tmp_path)]
     monkeypatch.setattr("sys.argv", command)
     with pytest.raises(SystemExit) as left:
-        main()
+        run_command_line(app, "lscan-sim")
     assert left.value.code == 130
     assert capsys.readouterr().err == "lscan-sim: stopped\n"
     written = json.loads((tmp_path / "out" / "verify.json").read_text())

@@ -20,6 +20,7 @@ class Bench:
         self.late_s, self.period_s, self.exposure_s = late_s, period_s, exposure_s
         self.line_dn, self.ended = line_dn, -np.inf
         self.now_s, self.switched = 0.0, [(-np.inf, False)]
+        self.held_each = np.inf
         self._generator = np.random.default_rng(2)
 
     def laser_on(self) -> None:
@@ -36,10 +37,11 @@ class Bench:
         self.now_s += time_s
 
     def preview(self) -> Grab:
-        """The next picture to arrive: exposed up to ``late_s`` before."""
+        """The next picture to arrive: exposed up to ``late_s`` before, some three periods more."""
         newest = np.floor((self.now_s - self.late_s) / self.period_s)
         self.ended = max(newest, self.ended) + 1
-        self.now_s = self.ended * self.period_s + self.late_s
+        held_s = 3 * self.period_s * (self.ended % self.held_each == 0)
+        self.now_s = self.ended * self.period_s + self.late_s + held_s
         times_s = self.ended * self.period_s - self.exposure_s * np.linspace(0, 1, 41)
         light = np.mean([self._lit(time_s) for time_s in times_s])
         image = self._generator.integers(10, 14, (24, 32, 3)).astype(np.uint8)
@@ -78,6 +80,20 @@ def test_no_picture_is_older_than_the_delay_says(
     assert found.longest_ms <= 1000 * (late_s + exposure_s + period_s + SWITCH_S) + 1e-6
     assert found.median_ms <= found.longest_ms and found.switches == SWITCHES
     assert not here.switched[-1][1]
+
+
+def test_flush_ms_has_a_margin_for_pictures_that_the_ten_switches_did_not_meet(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One picture in 23 is held back by three periods more than the others."""
+    here = bench(monkeypatch, late_s=0.13)
+    here.held_each = 23
+    found = picture_delay(here, here)
+    ages_ms = []
+    for _ in range(100):
+        here.preview()
+        ages_ms.append(1000 * (here.now_s - here.ended * here.period_s + here.exposure_s))
+    assert found.longest_ms < max(ages_ms) <= found.flush_ms
 
 
 @pytest.mark.parametrize(("late_s", "line_dn"), [(0.1, 0), (5.0, 200), (60.0, 200)])
