@@ -69,12 +69,14 @@ class ParallelPlanes:
     def terms(self, xyz_mm: Floats) -> ShapeTerms:
         """As of FittedShape."""
         offset = xyz_mm - self.pivot_mm
-        which = np.eye(len(self.offsets_mm))[self.plane]
+        planes = len(self.offsets_mm)
+        along = tangents(self.normal)
         return ShapeTerms(
             distance_mm=offset @ self.normal - self.offsets_mm[self.plane],
             normal=np.broadcast_to(self.normal, xyz_mm.shape),
-            design=np.column_stack([offset @ tangents(self.normal).T, -which]),
+            design=np.column_stack([offset @ along.T, -np.eye(planes)[self.plane]]),
             usable=np.ones(len(xyz_mm), dtype=bool),
+            turn=np.vstack([along, np.zeros((planes, 3))]),
         )
 
     def moved(self, step: Floats) -> "ParallelPlanes":
