@@ -46,10 +46,7 @@ class GeometricRig:
     def __init__(self, study: Study, prepared: Prepared) -> None:
         self.study, self.prepared = study, prepared
         self._frame = ErrorFrame(prepared.places.world_mm)
-        correlations = study.correlations()
-        is_correlated = bool(study.file.correlation)
-        root = np.asarray(np.linalg.cholesky(correlations), dtype=float)
-        self._root = root if is_correlated else None
+        self._root = study.correlation_root()
 
     @property
     def causes(self) -> tuple[str, ...]:

@@ -162,7 +162,7 @@ def test_too_few_points_are_refused(kind: str, count: int) -> None:
 
 
 def test_a_steep_strip_is_as_steep_where_heights_alone_are_uncertain() -> None:
-    """As wide as ten sigmas: orthogonal distances alone would find it too steep by 1 of its sigmas.
+    """16 sigmas wide: orthogonal distances alone would find it too steep by 1 of its sigmas.
 
     The mean of 25 errors, in sigmas, is off by 3 / sqrt(25) = 0.6 in one of 400 trials.
     """
