@@ -9,7 +9,7 @@ from study_cases import known_of, study_with
 from lscan.calibration.api import find_solver
 from lscan.config.documents import Document, merge
 from lscan.config.rigfile import parse_rig
-from lscan.errors import InputError, MeasurementError
+from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import into_head, scene_of
 from sim.studies.errors import ErrorFrame
@@ -264,6 +264,12 @@ def test_correlated_causes_are_in_one_group() -> None:
     gaps, glasses = ([getattr(port, name) for port in drawn] for name in ("gap_mm", "thickness_mm"))
     # (1 - r^2) / sqrt(4000) is its standard error.
     assert np.corrcoef(gaps, glasses)[0, 1] == pytest.approx(0.8, abs=4 * 0.36 / 4000**0.5)
+
+
+def test_a_board_behind_the_camera_is_not_found() -> None:
+    """3 m nearer than the sheet: no mark has a place in the picture."""
+    with pytest.raises(BoardNotFound, match="found 0"):
+        errors({"key": "calibrate.target.position_mm.1", "when": "as-built", "fixed": -3000.0})
 
 
 @pytest.mark.parametrize("third", [-0.9, 0.96])
