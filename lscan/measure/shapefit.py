@@ -256,9 +256,7 @@ def fit_shape(start: FittedShape, points: MeasuredPoints, what: str) -> ShapeFit
         if (length < SETTLED and iteration >= UNDECIDED_ITERATIONS) or idle:
             return _fitted(shape, points, kept)
         shape, least = shape.moved(step), squares
-    raise MeasurementError(
-        f"{what}: the fit does not settle: is it what lies there, and do the points determine it?"
-    )
+    raise MeasurementError(f"{what}: the fit does not settle: does what lies there determine it?")
 
 
 def _no_outliers(terms: ShapeTerms, sigma: Floats) -> Mask:

@@ -100,11 +100,8 @@ def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasur
 def _planes(surface: Surface, kind: str, name: str, boxes: Sequence[SurfaceBox]) -> ShapeMeasure:
     """One plane, or two parallel ones, the upper first."""
     parts = [_in_box(surface, box, name) for box in boxes]
-    points = MeasuredPoints(
-        xyz_mm=np.concatenate([part.xyz_mm for part in parts]),
-        own_mm2=np.concatenate([part.own_mm2 for part in parts]),
-        modes_mm=np.concatenate([part.modes_mm for part in parts]),
-    )
+    alike = zip(*((part.xyz_mm, part.own_mm2, part.modes_mm) for part in parts), strict=True)
+    points = MeasuredPoints(*map(np.concatenate, alike))
     which: Ints = np.repeat(np.arange(len(parts)), [len(part.xyz_mm) for part in parts])
     start = ParallelPlanes.start(points.xyz_mm, which)
     return _measure(kind, name, fit_shape(start, points, f"{kind} {name!r}"), points)
@@ -140,8 +137,7 @@ def _measure(kind: str, name: str, fit: ShapeFit, points: MeasuredPoints) -> Sha
     assert isinstance(shape, MeasuredShape)
     if not fit.determined or fit.share_of_noise(points) > MOST_NOISE:
         raise MeasurementError(
-            f"{kind} {name!r}: the points in its box do not determine it: against their scatter "
-            "they lie in one line or too small a part of it"
+            f"{kind} {name!r}: the points in its box do not determine it, given their scatter"
         )
     values = shape.quantities()
     sigma = fit.sigma(_gradient(shape, len(fit.covariance)))
@@ -180,6 +176,5 @@ def _height(surface: Surface, wanted: HeightShape) -> ShapeMeasure:
     own = places.sigma_z_mm**2 - np.square(modes).sum(axis=1)
     variance = float(np.maximum(own, 0.0).sum() + np.square(modes[1] - modes[0]).sum())
     height = float(places.z_mm[1] - places.z_mm[0])
-    return ShapeMeasure(
-        wanted.name, "height", {"height_mm": Quantity(height, float(np.sqrt(variance)))}
-    )
+    measured = Quantity(height, float(np.sqrt(variance)))
+    return ShapeMeasure(wanted.name, "height", {"height_mm": measured})

@@ -212,8 +212,7 @@ def _fitted(
     normals = _normals()
     basis = np.stack(_basis(*normals.T), axis=-1)
     received = thin_sheet(sheet, lookup, phi, rho, aside, normals)
-    brightest = received.max(axis=-1, keepdims=True)
-    dimmest = np.maximum(DIM * received[..., :1], DIMMEST * brightest)
+    dimmest = np.maximum(DIM * received[..., :1], DIMMEST * received.max(axis=-1, keepdims=True))
     weight = 1 / np.maximum(np.maximum(received, dimmest), LEAST_LIGHT)
     design = basis * weight[..., np.newaxis]
     transposed = np.swapaxes(design, -1, -2)
