@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from lscan.cli.arguments import Json, require_folders
-from lscan.cli.console import print_json, print_table, progress_bar
+from lscan.cli.console import note, print_json, print_table, progress_bar
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from lscan.roughness import Patch, Roughness, ScannerResponse, Sediment
 
 FREQUENCIES_KHZ = (15.0, 50.0, 100.0, 300.0)
+MOST_STEPS = 0.5  # of the patch's shorter side: a stone on the seabed makes fewer
 GRAZING_DEG = (10.0, 20.0, 45.0, 70.0)
 
 
@@ -108,6 +109,8 @@ def roughness(
         response = response_of(load_rig(rig).rig, scanned, peak)
     response = replace(response, cell_cm=(cell or 0.0) / MM_PER_CM)
     patch = _patch(scanned, cell, yaw)
+    if patch.steps > MOST_STEPS:
+        note("steps lie in the patch, as of a block's rim: ripples, law and intervals do not hold")
     with progress_bar("roughness") as progress:
         found = roughness_of(patch, response, stretched=stretched, progress=progress)
     if output:

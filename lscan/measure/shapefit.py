@@ -112,12 +112,14 @@ class ShapeTerms:
     normal : (K, 3) array, unit normals, along which the distance grows
     design : (K, P) array, derivatives of the distances by the parameters
     usable : (K,) mask, of the points that the shape has a distance for
+    turn : (P, 3) array, optional, change of the normals by the parameters, alike at all points
     """
 
     distance_mm: Floats
     normal: Floats
     design: Floats
     usable: Mask
+    turn: Floats | None = None
 
     def sigma_mm(self, points: MeasuredPoints) -> Floats:
         """(K,) mm, standard uncertainty of the distances by the points' own noise.
@@ -128,6 +130,21 @@ class ShapeTerms:
         """
         variance = (self.normal**2 * points.own_mm2).sum(axis=1)
         return np.sqrt(np.maximum(variance, LEAST_SIGMA_MM**2))
+
+    def by_sigma(self, points: MeasuredPoints) -> Floats:
+        """(K, P) derivatives of the distances over their sigma, which turns with the normals.
+
+        Without that, heights alone being uncertain, a plane would come out too steep.
+
+        Parameters
+        ----------
+        points : MeasuredPoints, the K points
+        """
+        sigma = self.sigma_mm(points)[:, None]
+        if self.turn is None:
+            return self.design / sigma
+        turned = (self.normal * points.own_mm2) @ self.turn.T / sigma**2
+        return (self.design - self.distance_mm[:, None] * turned) / sigma
 
     def by_modes(self, points: MeasuredPoints) -> Floats:
         """(K, M) mm, change of the distances by each of the points' modes.
@@ -187,6 +204,23 @@ class ShapeFit:
         own = np.einsum("qi,ij,qj->q", gradient, self.covariance, gradient)
         return np.sqrt(np.maximum(own, 0.0) + np.square(gradient @ self.modes).sum(axis=1))
 
+    def share_of_noise(self, points: MeasuredPoints) -> float:
+        """How much of what determines the parameters is the points' own noise: of variances.
+
+        Points on one line have noise aside of it too, by which any plane through the line seems
+        determined.  The noise counts as alike along all axes: the shape may stand wrongly.
+
+        Parameters
+        ----------
+        points : MeasuredPoints, that it was fitted to
+        """
+        noise = np.sqrt(np.maximum(points.own_mm2.max(axis=1, keepdims=True), LEAST_SIGMA_MM**2))
+        ways = noise * np.eye(3)[:, None]
+        change = np.stack([self.shape.terms(points.xyz_mm + way).design for way in ways])
+        change = (change - self.terms.design) / self.terms.sigma_mm(points)[:, None]
+        change = change[:, self.kept].reshape(-1, len(self.covariance))
+        return float(((change @ self.covariance) * change).sum())
+
 
 def fit_shape(start: FittedShape, points: MeasuredPoints, what: str) -> ShapeFit:
     """The shape of least squares through points, outliers left out.
@@ -213,14 +247,16 @@ def fit_shape(start: FittedShape, points: MeasuredPoints, what: str) -> ShapeFit
         sigma = terms.sigma_mm(points)
         if kept is None or iteration < UNDECIDED_ITERATIONS:
             kept = _no_outliers(terms, sigma)
-        _require_enough(int(kept.sum()), terms.design.shape[1], what)
-        step, length = _step(terms, sigma, kept)
+        count, fewest = int(kept.sum()), 2 * terms.design.shape[1]
+        if count < fewest:
+            raise MeasurementError(f"{what}: {count} points lie there, {fewest} are needed")
+        step, length = _step(terms.by_sigma(points)[kept], terms.distance_mm[kept] / sigma[kept])
         squares = float(np.square(terms.distance_mm[kept] / sigma[kept]).sum())
         idle = iteration >= SLOW_ITERATIONS and squares >= least
         if (length < SETTLED and iteration >= UNDECIDED_ITERATIONS) or idle:
             return _fitted(shape, points, kept)
         shape, least = shape.moved(step), squares
-    raise MeasurementError(f"{what}: the fit does not settle: is it what lies there?")
+    raise MeasurementError(f"{what}: the fit does not settle: does what lies there determine it?")
 
 
 def _no_outliers(terms: ShapeTerms, sigma: Floats) -> Mask:
@@ -233,17 +269,10 @@ def _no_outliers(terms: ShapeTerms, sigma: Floats) -> Mask:
     return terms.usable & (ratio <= OUTLIER * spread + LEAST_SIGMA_MM / sigma)
 
 
-def _require_enough(count: int, parameters: int, what: str) -> None:
-    fewest = 2 * parameters
-    if count < fewest:
-        raise MeasurementError(f"{what}: {count} points lie there, {fewest} are needed")
-
-
-def _step(terms: ShapeTerms, sigma: Floats, kept: Mask) -> tuple[Floats, float]:
-    """The Gauss-Newton step (P,) and its length in standard deviations."""
-    weighted = terms.design[kept] / sigma[kept, None]
+def _step(weighted: Floats, ratio: Floats) -> tuple[Floats, float]:
+    """The Gauss-Newton step (P,) and its length in standard deviations; see ``_excess``."""
     inverse, _ = _inverse(weighted.T @ weighted)
-    step = -inverse @ (weighted.T @ (terms.distance_mm[kept] / sigma[kept]))
+    step = -inverse @ (weighted.T @ ratio)
     return step, float(np.linalg.norm(weighted @ step))
 
 
@@ -261,7 +290,7 @@ def _fitted(shape: FittedShape, points: MeasuredPoints, kept: Mask) -> ShapeFit:
     """The fit with its uncertainty, the shape and the points that had a part in it decided."""
     terms = shape.terms(points.xyz_mm)
     sigma = terms.sigma_mm(points)[kept]
-    weighted = terms.design[kept] / sigma[:, None]
+    weighted = terms.by_sigma(points)[kept]
     inverse, determined = _inverse(weighted.T @ weighted)
     ratio = terms.distance_mm[kept] / sigma
     excess = _excess(weighted, ratio, inverse, _cells(points.xyz_mm[kept]))

@@ -20,6 +20,8 @@ SMALL = 1e-5
 """Change of a parameter, mm or rad, by which quantities are differentiated: their second
 derivatives, below 1e3, then count for 1e-7 of a slope of 1, and rounding for as little."""
 
+MOST_NOISE = 0.1  # in what determines a shape: of a plane, profiles six sigmas apart, or nearer
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -91,21 +93,18 @@ def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasur
         for entry in entries:
             points = _in_box(surface, entry, entry.name)
             fit = fit_shape(shape.start(points.xyz_mm), points, f"{kind} {entry.name!r}")
-            found.append(_measure(kind, entry.name, fit))
+            found.append(_measure(kind, entry.name, fit, points))
     return found + [_height(surface, one) for one in wanted.height]
 
 
 def _planes(surface: Surface, kind: str, name: str, boxes: Sequence[SurfaceBox]) -> ShapeMeasure:
     """One plane, or two parallel ones, the upper first."""
     parts = [_in_box(surface, box, name) for box in boxes]
-    points = MeasuredPoints(
-        xyz_mm=np.concatenate([part.xyz_mm for part in parts]),
-        own_mm2=np.concatenate([part.own_mm2 for part in parts]),
-        modes_mm=np.concatenate([part.modes_mm for part in parts]),
-    )
+    alike = zip(*((part.xyz_mm, part.own_mm2, part.modes_mm) for part in parts), strict=True)
+    points = MeasuredPoints(*map(np.concatenate, alike))
     which: Ints = np.repeat(np.arange(len(parts)), [len(part.xyz_mm) for part in parts])
     start = ParallelPlanes.start(points.xyz_mm, which)
-    return _measure(kind, name, fit_shape(start, points, f"{kind} {name!r}"))
+    return _measure(kind, name, fit_shape(start, points, f"{kind} {name!r}"), points)
 
 
 def _in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoints:
@@ -132,12 +131,14 @@ def _reach(surface: Surface) -> str:
     return ", ".join(f"{axis} from {low:.1f} to {high:.1f} mm" for axis, low, high in sides)
 
 
-def _measure(kind: str, name: str, fit: ShapeFit) -> ShapeMeasure:
+def _measure(kind: str, name: str, fit: ShapeFit, points: MeasuredPoints) -> ShapeMeasure:
     """The quantities of a fitted shape with their uncertainties."""
     shape = fit.shape
     assert isinstance(shape, MeasuredShape)
-    if not fit.determined:
-        raise MeasurementError(f"{kind} {name!r}: the points in its box do not determine it")
+    if not fit.determined or fit.share_of_noise(points) > MOST_NOISE:
+        raise MeasurementError(
+            f"{kind} {name!r}: the points in its box do not determine it, given their scatter"
+        )
     values = shape.quantities()
     sigma = fit.sigma(_gradient(shape, len(fit.covariance)))
     return ShapeMeasure(
@@ -175,6 +176,5 @@ def _height(surface: Surface, wanted: HeightShape) -> ShapeMeasure:
     own = places.sigma_z_mm**2 - np.square(modes).sum(axis=1)
     variance = float(np.maximum(own, 0.0).sum() + np.square(modes[1] - modes[0]).sum())
     height = float(places.z_mm[1] - places.z_mm[0])
-    return ShapeMeasure(
-        wanted.name, "height", {"height_mm": Quantity(height, float(np.sqrt(variance)))}
-    )
+    measured = Quantity(height, float(np.sqrt(variance)))
+    return ShapeMeasure(wanted.name, "height", {"height_mm": measured})

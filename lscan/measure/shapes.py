@@ -69,12 +69,13 @@ class ParallelPlanes:
     def terms(self, xyz_mm: Floats) -> ShapeTerms:
         """As of FittedShape."""
         offset = xyz_mm - self.pivot_mm
-        which = np.eye(len(self.offsets_mm))[self.plane]
+        along = tangents(self.normal)
         return ShapeTerms(
             distance_mm=offset @ self.normal - self.offsets_mm[self.plane],
             normal=np.broadcast_to(self.normal, xyz_mm.shape),
-            design=np.column_stack([offset @ tangents(self.normal).T, -which]),
+            design=np.column_stack([offset @ along.T, -np.eye(len(self.offsets_mm))[self.plane]]),
             usable=np.ones(len(xyz_mm), dtype=bool),
+            turn=np.vstack([along, np.zeros((len(self.offsets_mm), 3))]),
         )
 
     def moved(self, step: Floats) -> "ParallelPlanes":
@@ -180,11 +181,10 @@ class CylinderShape:
         along = offset @ self.direction
         distance, normal = _away(offset - along[:, None] * self.direction)
         facing = normal @ tangents(self.direction).T
-        design = [-facing, -along[:, None] * facing, -np.ones(len(normal))]
         return ShapeTerms(
             distance_mm=distance - self.radius_mm,
             normal=normal,
-            design=np.column_stack(design),
+            design=np.column_stack([-facing, -along[:, None] * facing, -np.ones(len(normal))]),
             usable=np.ones(len(normal), dtype=bool),
         )
 

@@ -5,7 +5,7 @@ rad/cm: its integral over all of the plane is the mean square height.  It is in 
 """
 
 from dataclasses import dataclass
-from math import atan2, cosh, exp, gamma, hypot, pi, sinh, sqrt
+from math import atan2, exp, gamma, hypot, pi, sqrt
 
 import numpy as np
 
@@ -51,8 +51,8 @@ class PowerLaw:
         """
         a, b = self.stretch
         size = hypot(a, b)
-        steep = sinh(size) / size if size else 1.0
-        square = cosh(size) * (np.square(along_x) + np.square(along_y))
+        steep = np.sinh(size) / size if size else 1.0
+        square = np.cosh(size) * (np.square(along_x) + np.square(along_y))
         square = square + steep * (
             a * (np.square(along_x) - np.square(along_y)) + 2 * b * np.multiply(along_x, along_y)
         )

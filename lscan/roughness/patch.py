@@ -19,6 +19,7 @@ FEWEST = 16
 """Cells along either side: the longest wavelengths and the shortest are then a factor of four
 apart, once those are left out that a patch cannot tell from its slope."""
 LEAST_SEEN = 0.5
+STEP = 15.0  # times the median difference of neighbouring cells: ten sigmas of normal ones
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,13 @@ class Patch:
         """Length along y, and along x."""
         rows, columns = self.z_cm.shape
         return rows * self.cell_cm, columns * self.cell_cm
+
+    @property
+    def steps(self) -> float:
+        """Length of steps between cells, along x or along y, in the patch's shorter side."""
+        z, least = np.where(self.seen, self.z_cm, np.nan), float(np.sqrt(self.noise_cm2))
+        off = [np.abs(d - np.nanmedian(d)) for d in (np.diff(z, axis=0), np.diff(z, axis=1))]
+        return max(int((d > STEP * max(np.nanmedian(d), least)).sum()) for d in off) / min(z.shape)
 
     @property
     def nyquist_per_cm(self) -> float:

@@ -234,6 +234,7 @@ class _Likelihood:
             columns.append(self._expected(self._sum.of(steps / (2 * DIFFERENCE))))
         return np.stack(columns, axis=1) / expected[:, np.newaxis]
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a step may lead anywhere
     def maximum(self, theta: Floats) -> Floats:
         """(P,) parameters of the largest likelihood, by Fisher's scoring."""
         theta = theta.copy()
@@ -241,8 +242,10 @@ class _Likelihood:
         size, expected = self._cost(theta)
         for _ in range(STEPS):
             slopes = self._derivatives(theta, expected)
-            score = slopes.T @ (self.values / expected - 1)
-            step = np.linalg.solve(slopes.T @ slopes, score)
+            normal = slopes.T @ slopes
+            if not np.isfinite(normal).all() or np.linalg.matrix_rank(normal) < len(theta):
+                break  # as where all is noise
+            step = np.linalg.solve(normal, slopes.T @ (self.values / expected - 1))
             for _ in range(STEPS):
                 found, there = self._cost(theta + step)
                 if found <= size + 1e-9 * abs(size):

@@ -17,7 +17,7 @@ import numpy as np
 from lscan.calibration.api import NamedSolver, find_solver
 from lscan.calibration.carry import carried
 from lscan.calibration.outliers import screened
-from lscan.records import BoardReading, Floats, Marks, select
+from lscan.records import BoardReading, Floats, Marks, Status, select
 from sim.scene import Pose, Scene, at_moment, into_world
 from sim.scene.moment import is_changing
 from sim.studies.errors import ErrorFrame
@@ -46,10 +46,7 @@ class GeometricRig:
     def __init__(self, study: Study, prepared: Prepared) -> None:
         self.study, self.prepared = study, prepared
         self._frame = ErrorFrame(prepared.places.world_mm)
-        correlations = study.correlations()
-        is_correlated = bool(study.file.correlation)
-        root = np.asarray(np.linalg.cholesky(correlations), dtype=float)
-        self._root = root if is_correlated else None
+        self._root = study.correlation_root()
 
     @property
     def causes(self) -> tuple[str, ...]:
@@ -219,4 +216,6 @@ def _same(one: TrueCamera, other: TrueCamera) -> bool:
 
 
 def _moved(marks: Marks, image: Floats) -> Marks:
-    return replace(marks, image_px=np.where(marks.found[:, np.newaxis], image, np.nan))
+    seen = marks.found & np.isfinite(image).all(axis=1)  # one behind the camera has no place
+    status = np.where(marks.found & ~seen, Status.NOT_FOUND, marks.status)
+    return replace(marks, image_px=np.where(seen[:, np.newaxis], image, np.nan), status=status)

@@ -226,20 +226,30 @@ class Study:
             found[group] = (*found.get(group, ()), name)
         return found
 
-    def correlations(self) -> Floats:
-        """(D, D) correlations of the normal numbers that the causes' quantiles are made from."""
+    def correlation_root(self) -> Floats | None:
+        """(D, D) lower root of the correlations of the normal numbers behind the causes' quantiles.
+
+        None where all are independent.
+
+        Raises
+        ------
+        InputError
+            No numbers have these correlations.
+        """
         index = {name: k for k, name in enumerate(self.causes)}
         found = np.eye(len(index))
         for one in self.file.correlation:
             i, j = (index[name] for name in one.between)
             found[i, j] = found[j, i] = one.by
-        if np.linalg.eigvalsh(found)[0] <= 0:
+        try:
+            root = np.asarray(np.linalg.cholesky(found), dtype=float)
+        except np.linalg.LinAlgError as error:
             raise InputError(
                 "correlation: no such numbers exist",
                 where=self.source,
                 allowed="correlations that do not contradict each other",
-            )
-        return found
+            ) from error
+        return root if self.file.correlation else None
 
 
 def load_study(path: Path | str) -> Study:
@@ -281,7 +291,7 @@ def study_of(document: Document, source: str, scenes: tuple[Scene, Scene] | None
         allowed = 'a scene with [target] shape = "board"'
         raise InputError("calibrate", where=source, value=file.calibrate, allowed=allowed)
     _require_one_rig(study)
-    study.correlations()
+    study.correlation_root()
     return study
 
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from lscan.records import Floats
 from sim.studies.problem import Output
 from sim.studies.records import CauseFacts, StudyRuns
 from sim.studies.sampling import AGAIN, ALL, Design
@@ -31,10 +30,7 @@ def runs_of(
     outputs : tuple of Output
     """
     rows, facts = design.rows, tuple(map(_facts, *zip(*study.file.cause.items(), strict=True)))
-    correlations = study.correlations()
-    root: Floats | None = None
-    if study.file.correlation:
-        root = np.asarray(np.linalg.cholesky(correlations), dtype=float)
+    root = study.correlation_root()
     shares = np.stack([correlated(row, root) for row in rows])
     physical = np.full(rows.shape, np.nan)
     for column, cause in enumerate(study.file.cause.values()):

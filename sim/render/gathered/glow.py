@@ -39,6 +39,8 @@ FARTHEST_MM = 5000.0  # where rays end that meet no surface
 # Normals that the polynomial is fitted to: no more than 84 degrees off the way back to the apex.
 COSINES, AZIMUTHS = (1.0, 0.9, 0.75, 0.55, 0.3, 0.1), 6
 DIM = 0.3  # of a facing surface's light: above, the fit's error counts relative to the light
+# Of the brightest surface's, the same, where a facing one is dark: so few photons came so far off.
+DIMMEST = 1e-6
 ODD = (2, 7, 8)  # the polynomial's terms that change sign from one side of the sheet to the other
 LEAST = 1e-6  # of an endless fan's light
 LEAST_LIGHT = 1e-30  # mW/mm2
@@ -210,7 +212,8 @@ def _fitted(
     normals = _normals()
     basis = np.stack(_basis(*normals.T), axis=-1)
     received = thin_sheet(sheet, lookup, phi, rho, aside, normals)
-    weight = 1 / np.maximum(np.maximum(received, DIM * received[..., :1]), LEAST_LIGHT)
+    dimmest = np.maximum(DIM * received[..., :1], DIMMEST * received.max(axis=-1, keepdims=True))
+    weight = 1 / np.maximum(np.maximum(received, dimmest), LEAST_LIGHT)
     design = basis * weight[..., np.newaxis]
     transposed = np.swapaxes(design, -1, -2)
     right = transposed @ (received * weight)[..., np.newaxis]

@@ -1,16 +1,17 @@
 """Shapes files and what is measured by them on surfaces whose shape is known."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from shape_surfaces import RADIUS_MM, dome, plan, surface_of
+from shape_surfaces import RADIUS_MM, dome, plan, ridge, surface_of
 
 from lscan.config.shapes import ShapesDocument, load_shapes
 from lscan.errors import InputError, MeasurementError
 from lscan.measure.shapemeasures import measure_shapes
-from lscan.records import Status
+from lscan.records import Floats, Status
 
 ALL = {"x_mm": [-100.0, 100.0], "y_mm": [-100.0, 100.0]}
 
@@ -81,6 +82,36 @@ def test_what_is_not_there_is_named(tables: dict[str, Any], words: str) -> None:
     x, y = plan()
     with pytest.raises(MeasurementError, match=f"'p': .*{words}"):
         measure_shapes(surface_of(x, y, dome(x, y)), wanted(**tables))
+
+
+LINE = np.linspace(-20.0, 20.0, 400)[None]
+PAIR = np.vstack([LINE, LINE])
+CASES: dict[str, tuple[str, Floats, Floats, Floats]] = {
+    "one profile": ("plane", LINE, 0 * LINE, 0.1 * LINE),
+    "one profile, turned": ("plane", LINE, 0.05 * LINE, 0.1 * LINE),
+    "two within their noise": ("plane", PAIR, PAIR * 0 + [[0.0], [0.01]], 0.1 * PAIR),
+    "one column": ("plane", 0 * LINE.T, LINE.T, 0.1 * LINE.T),
+    "one point": ("plane", LINE / 1000, LINE[:, ::-1] / 1000, 0 * LINE),
+    "two levels of a step, a profile each": ("step", PAIR, PAIR * 0 + [[5.0], [-5.0]], 0 * PAIR),
+    "a ball's top": ("sphere", *(axis / 40 for axis in plan(41)), dome(plan(41)[0] / 40, 0.0)),
+    "a cylinder's ridge": ("cylinder", 0 * LINE.T, LINE.T, 30.0 + 0 * LINE.T),
+    "a cylinder, once": ("cylinder", LINE, 0 * LINE, ridge(LINE, LINE)),
+}
+
+
+@pytest.mark.parametrize("across_mm", [0.0, 0.05])
+@pytest.mark.parametrize("case", CASES)
+def test_what_the_points_do_not_determine_is_refused(case: str, across_mm: float) -> None:
+    """With and without noise of x, which lets points on a line seem to show more than that."""
+    kind, x, y, z = CASES[case]
+    rng = np.random.default_rng(2)
+    x, z = x + rng.normal(0, across_mm, x.shape), z + rng.normal(0, 0.05, z.shape)
+    surface = replace(surface_of(x, y, z), sigma_x_mm=np.full(z.shape, across_mm))
+    boxes: dict[str, Any] = {"name": "p", **ALL}
+    if kind == "step":
+        boxes = {"name": "p", "upper": {**ALL, "y_mm": [0, 9]}, "lower": {**ALL, "y_mm": [-9, 0]}}
+    with pytest.raises(MeasurementError, match=r"'p': .*determine it"):
+        measure_shapes(surface, wanted(**{kind: [boxes]}))
 
 
 @pytest.mark.parametrize(

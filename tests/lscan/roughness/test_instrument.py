@@ -11,6 +11,7 @@ from rough_patches import drawn, patch, wave, whole
 from typer.testing import CliRunner
 
 from lscan.cli.app import app
+from lscan.cli.roughness import MOST_STEPS
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Status, Surface
 from lscan.roughness import (
@@ -20,6 +21,7 @@ from lscan.roughness import (
     find_ripples,
     noise_density,
     patch_of,
+    patch_of_cells,
     patch_of_profiles,
     profile_waves,
     roughness_of,
@@ -146,6 +148,22 @@ def test_the_command_says_shows_and_keeps(surface_file: Path, tmp_path: Path) ->
     )
     assert plain.exit_code == 0 and "spectral exponent" in plain.output
     assert "backscatter of fine sand" in plain.output
+
+
+def test_the_command_says_that_steps_lie_in_the_patch(
+    surface_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A block's top 10 mm up on a quarter; a stone of 8 mm is none, nor is the ground alone."""
+    surface = load_surface(surface_file)
+    x, y, _ = np.moveaxis(surface.xyz_mm, -1, 0)
+    for where, told in ((x < 0, False), (np.hypot(x - 40, y - 60) < 4, False),
+                        ((x < 50) & (y < 60), True)):  # fmt: skip
+        raised = surface.xyz_mm + np.where(where, 10.0, 0.0)[..., None] * [0.0, 0.0, 1.0]
+        assert (patch_of_cells(replace(surface, xyz_mm=raised), 2.0).steps > MOST_STEPS) == told
+    save_surface(surface_file, replace(surface, xyz_mm=raised))
+    monkeypatch.setattr("lscan.roughness.roughness_of", lambda *_, **__: 1 / 0)
+    said = CliRunner().invoke(app, ["roughness", str(surface_file), "--cell", "2"])
+    assert "steps lie in the patch" in " ".join(said.stderr.split())
 
 
 def test_the_command_refuses_no_length_by_name(surface_file: Path) -> None:

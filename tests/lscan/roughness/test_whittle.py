@@ -136,6 +136,22 @@ def test_a_fit_says_how_far_it_is() -> None:
     assert told == [(number, FEW) for number in range(1, FEW + 1)]
 
 
+@pytest.mark.parametrize(
+    ("along_y", "along_x", "noise_cm2", "stretched"),
+    [(0.0, 0.0, 1e-4, False), (1.0, 0.01, 1.0, False), (1.0, 0.0, 0.0, True)],
+    ids=["flat, noise stated", "more noise stated than there is", "alike along x, stretched"],
+)
+def test_no_law_is_one_clear_error(
+    along_y: float, along_x: float, noise_cm2: float, stretched: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    z = along_y * rng.normal(0, 0.01 if noise_cm2 else 1.0, (40, 1)) + along_x * rng.normal(
+        size=(40, 40)
+    )
+    with pytest.raises(MeasurementError, match="no power law makes the patch most likely"):
+        fit(patch(z, None, CELL_CM, noise_cm2), stretched=stretched)
+
+
 def test_too_narrow_a_band_is_refused() -> None:
     with pytest.raises(MeasurementError, match="values of the periodogram"):
         fit(field(2), band=Band(4.0, 4.5))

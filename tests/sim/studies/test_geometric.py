@@ -9,7 +9,7 @@ from study_cases import known_of, study_with
 from lscan.calibration.api import find_solver
 from lscan.config.documents import Document, merge
 from lscan.config.rigfile import parse_rig
-from lscan.errors import InputError, MeasurementError
+from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import into_head, scene_of
 from sim.studies.errors import ErrorFrame
@@ -259,11 +259,27 @@ def test_correlated_causes_are_in_one_group() -> None:
     study = study_with(grouped, correlation=together)
     assert study.groups == {"port": ("gap", "glass")}
     rows = np.random.default_rng(1).random((4000, 2))
-    root = np.linalg.cholesky(study.correlations())
+    root = study.correlation_root()
     drawn = [states_of(study, row, root).scan.tank.port for row in rows]
     gaps, glasses = ([getattr(port, name) for port in drawn] for name in ("gap_mm", "thickness_mm"))
     # (1 - r^2) / sqrt(4000) is its standard error.
     assert np.corrcoef(gaps, glasses)[0, 1] == pytest.approx(0.8, abs=4 * 0.36 / 4000**0.5)
+
+
+def test_a_board_behind_the_camera_is_not_found() -> None:
+    """3 m nearer than the sheet: no mark has a place in the picture."""
+    with pytest.raises(BoardNotFound, match="found 0"):
+        errors({"key": "calibrate.target.position_mm.1", "when": "as-built", "fixed": -3000.0})
+
+
+@pytest.mark.parametrize("third", [-0.9, 0.96])
+def test_correlations_that_no_numbers_have_are_refused(third: float) -> None:
+    """0.6 * 0.8 + sqrt(1 - 0.6^2) sqrt(1 - 0.8^2) = 0.96 is the most: its matrix has no root."""
+    gap = {"key": "port.gap_mm", "when": "as-built", "normal": (10.0, 1.0), "group": "port"}
+    pairs = {("a", "b"): 0.6, ("b", "c"): 0.8, ("a", "c"): third}
+    together = [{"between": list(pair), "by": by} for pair, by in pairs.items()]
+    with pytest.raises(InputError, match="do not contradict each other"):
+        study_with(dict.fromkeys("abc", gap), correlation=together)
 
 
 # ---- errors ---------------------------------------------------------------------------------
