@@ -60,12 +60,15 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     content = read_bytes(path, MOST_BYTES[kind]).removeprefix(codecs.BOM_UTF8)
     if not content:
         raise InputError("is an empty file", where=path)
+    if kind in ("obj", "off") and b"\0" in content:
+        allowed = "text in UTF-8"
+        raise InputError("is no text, or one in UTF-16", where=path, allowed=allowed)
     try:
         mesh = _read_stl(content) if kind == "stl" else _in_triangles(READERS[kind](content))
     except InputError as error:
         raise InputError(str(error), where=path) from error
     except Exception as error:  # trimesh and NumPy raise whatever they do on what is no such file
-        message = " ".join(f"is not a mesh that can be read: {error}".split())
+        message = f"is not a mesh that can be read: no {kind.upper()}, damaged, or cut short"
         raise InputError(message, where=path) from error
     mesh.vertices *= mm_per_unit
     if np.abs(mesh.vertices).max() > FURTHEST_MM:
