@@ -15,14 +15,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lscan.errors import InputError
-from lscan.files.containers import (
-    MOST_TAR_BYTES,
-    Place,
-    hdf5_array,
-    npz_arrays,
-    open_hdf5,
-    tar_places,
-)
+from lscan.files.containers import Place, hdf5_array, npz_arrays, open_hdf5, tar_places
 from lscan.files.disk import (
     MOST_TEXT_BYTES,
     list_names,
@@ -45,6 +38,8 @@ MOST_PICTURES = 2**21
 MOST_MANIFEST_BYTES = 32 * MOST_PICTURES
 MOST_PX_BYTES = 64
 """Of labels, truth and scene of a picture, for each of its pixels; lscan writes a third of them."""
+MOST_SHARD_BYTES = 2**44
+"""As large as file systems let files be: of a shard only members are read."""
 MOST_MEMBER_BYTES = MOST_TEXT_BYTES + MOST_PX_BYTES * MOST_PX
 KNOWN_SHARDS = 512
 DIMENSIONS = dict.fromkeys(("status", "centre_px", "width_px", "height_dn"), "LN")
@@ -181,8 +176,7 @@ class PictureDataset:
             key, value = ".".join(map(str, first["loc"])) or "document", first["input"]
             what = f"is no manifest of a data set: {key}: {first['msg']}"
             what = "is of another version" if key == "version" else what
-            shown = value if isinstance(value, str | int) else None
-            raise InputError(what, where=where, value=shown) from error
+            raise InputError(what, where=where, value=value) from error
         self._shards = content.shards
         self._places = [(shard.file, key) for shard in self._shards for key in shard.keys]
         keys = [*content.failed, *(key for _, key in self._places)]
@@ -217,7 +211,7 @@ class PictureDataset:
                 raise InputError("was changed: its hash differs", where=path)
 
 
-def shard_sha256(path: Path, most: int = MOST_TAR_BYTES) -> str:
+def shard_sha256(path: Path, most: int = MOST_SHARD_BYTES) -> str:
     """SHA-256 of a shard in hexadecimal: of the file, or of a folder's names and files in order.
 
     Parameters
@@ -247,12 +241,12 @@ def _read_members(path: Path, key: str) -> dict[str, bytes]:
     """The files of one picture, from a shard of any format."""
     if path.suffix == ".tar":
         # A file of its own: processes and threads read side by side.
-        with open_regular(path, MOST_TAR_BYTES) as stream, reading_errors(path):
+        with open_regular(path, MOST_SHARD_BYTES) as stream, reading_errors(path):
             state = os.fstat(stream.fileno())
             places = _places(path, state.st_mtime_ns, state.st_size)
             return _each_member(key, partial(_in_tar, stream, places, path, key))
     if path.suffix == ".h5":
-        with open_hdf5(path, MOST_TAR_BYTES) as file:
+        with open_hdf5(path, MOST_SHARD_BYTES) as file:
             return _each_member(key, partial(_in_hdf5, file, path, key))
     return _each_member(key, lambda name, most: read_bytes(path / f"{key}.{name}", most, path))
 
@@ -283,8 +277,7 @@ def _check_truth(arrays: Mapping[str, np.ndarray], size_px: tuple[int, int], whe
             value, allowed = f"{found.dtype} {found.shape}", f"{kind.__name__} {shape}"
             raise InputError(f"{name}: is no such array", where=where, value=value, allowed=allowed)
         if name == "status" and not np.isin(found, list(Status)).all():
-            what, allowed = "status: has another code", "those of lscan.Status"
-            raise InputError(what, where=where, value=int(found.max()), allowed=allowed)
+            raise InputError("status: is no code of Status", where=where, value=int(found.max()))
         if "L" in DIMENSIONS[name] and not np.isfinite(found[status == Status.OK]).all():
             raise InputError(f"{name}: is not finite where status is OK", where=where)
 

@@ -61,8 +61,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if not content:
         raise InputError("is an empty file", where=path)
     if kind in ("obj", "off") and b"\0" in content:
-        allowed = "text in UTF-8"
-        raise InputError("is no text, or one in UTF-16", where=path, allowed=allowed)
+        raise InputError("is no text, or one in UTF-16; save it as UTF-8", where=path)
     try:
         mesh = _read_stl(content) if kind == "stl" else _in_triangles(READERS[kind](content))
     except InputError as error:
