@@ -13,6 +13,7 @@ import numpy as np
 from lscan.benchmark.judging import SURE, CaseSums, JudgedExtractor, normal_score, reference_seconds
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap, find_solver
+from lscan.calibration.readings import joined_marks
 from lscan.config.board import Board
 from lscan.config.plugins import find_plugin_or_function, names_code, raised
 from lscan.config.rig import OpticsSection
@@ -153,16 +154,11 @@ def _tried(name: str, tried: Callable[..., Any], *given: Any) -> tuple[Any, floa
 
 def _all_marks(name: str, found: BoardReading, true: Marks) -> tuple[Floats, Floats]:
     """(N, 2) px and (N,) their sigmas, of control points and rulers' marks in the case's order."""
-    parts = [found.grid, *(ruler.marks for ruler in found.rulers)]
-    if sum(len(part.status) for part in parts) != len(true.status):
+    marks = joined_marks(found)
+    if len(marks.status) != len(true.status):
         raise InputError(f"{name} gave another number of marks", where="bench",
-                         value=sum(len(part.status) for part in parts),
-                         allowed=len(true.status))  # fmt: skip
-    return (
-        np.concatenate([np.where(part.found[:, np.newaxis], part.image_px, np.nan)
-                        for part in parts]),
-        np.concatenate([part.sigma_px for part in parts]),
-    )  # fmt: skip
+                         value=len(marks.status), allowed=len(true.status))  # fmt: skip
+    return np.where(marks.found[:, np.newaxis], marks.image_px, np.nan), marks.sigma_px
 
 
 def coordinate_sums(

@@ -1,6 +1,5 @@
 """The bench's table and picture, printed and on disk."""
 
-import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -120,9 +119,7 @@ def draw_bench(extractors: Sequence[ExtractorRow], maps: Sequence[MapRow]) -> by
     for axes, (title, errors, limits) in zip(panels, parts, strict=True):
         _heat(axes, errors, limits)
         axes.set_title(title)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    return style.png(figure, DPI)
 
 
 def _title(case: LineCase) -> str:

@@ -1,7 +1,5 @@
 """The columns that an extractor errs in most, as one picture."""
 
-import io
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -34,6 +32,4 @@ def draw_worst(judged: JudgedExtractor) -> bytes:
             fontsize=8,
         )
         axes.grid(False)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
-    return buffer.getvalue()
+    return style.png(figure, DPI)

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from lscan.calibration.api import NamedSolver, PlaneMap, find_solver
-from lscan.calibration.readings import all_marks, without
+from lscan.calibration.readings import joined_marks, without
 from lscan.calibration.stored import STRICT, Count, NotNegative
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
@@ -132,7 +132,7 @@ def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
     folds : int, 2 or more
     rng : Generator, of NumPy, which deals
     """
-    places = np.vstack([marks.board_mm for marks in all_marks(reading)])
+    places = joined_marks(reading).board_mm
     steps = np.round(places / (SAME * reading.pitch_mm)).astype(np.int64)
     different, place = np.unique(steps, axis=0, return_inverse=True)
     rounds = -(-len(different) // folds)
@@ -150,23 +150,20 @@ def _tried(reading: BoardReading, name: str, optics: OpticsSection | None, fold:
 def _judged(
     reading: BoardReading, solver: NamedSolver, optics: OpticsSection | None, fold: Ints
 ) -> Trial:
-    several = all_marks(reading)
-    found = np.concatenate([marks.found for marks in several])
-    image = np.vstack([marks.image_px for marks in several])
-    known = np.vstack([marks.board_mm for marks in several])
+    marks = joined_marks(reading)
     error, sigma = np.full((2, len(fold), 2), np.nan)
     whole, ms = None, []
     if solver.searches:
         whole, whole_ms = _timed(solver, reading, optics)
         solver = solver.near(whole)
-    for number in np.unique(fold[found]):
-        held_out = found & (fold == number)
+    for number in np.unique(fold[marks.found]):
+        held_out = marks.found & (fold == number)
         plane_map, fold_ms = _timed(solver, without(reading, held_out), optics)
         ms.append(fold_ms if whole is None else whole_ms)
-        points = plane_map.to_plane(image[held_out])
-        error[held_out], sigma[held_out] = points.xz_mm - known[held_out], points.sigma_mm
+        points = plane_map.to_plane(marks.image_px[held_out])
+        error[held_out], sigma[held_out] = points.xz_mm - marks.board_mm[held_out], points.sigma_mm
     square, stated = (error**2).sum(axis=1), (sigma**2).sum(axis=1)
-    score = _summary(solver.name, square[found], stated[found], float(np.median(ms)))
+    score = _summary(solver.name, square[marks.found], stated[marks.found], float(np.median(ms)))
     return Trial(score, square, whole)
 
 

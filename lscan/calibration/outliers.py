@@ -15,7 +15,7 @@ import numpy as np
 
 from lscan.calibration.maps.polynomial import terms
 from lscan.calibration.maps.scaling import box
-from lscan.calibration.readings import all_marks, found_marks, without
+from lscan.calibration.readings import all_marks, found_marks, joined_marks, without
 from lscan.calibration.region import spacing_px
 from lscan.camera.fit import MEDIAN
 from lscan.records import BoardReading, Floats, Mask
@@ -58,7 +58,7 @@ def screened(reading: BoardReading) -> ScreenedReading:
         Where no two neighbouring control points were found.
     """
     wrong = outliers(reading)
-    board_mm = np.vstack([marks.board_mm for marks in all_marks(reading)])[wrong]
+    board_mm = joined_marks(reading).board_mm[wrong]
     return ScreenedReading(without(reading, wrong) if wrong.any() else reading, board_mm)
 
 
@@ -74,7 +74,7 @@ def outliers(reading: BoardReading) -> Mask:
     BoardNotFound
         Where no two neighbouring control points were found.
     """
-    found = np.concatenate([marks.found for marks in all_marks(reading)])
+    found = joined_marks(reading).found
     board_mm, image_px, _ = found_marks(all_marks(reading))
     wrong = np.zeros(len(found), dtype=bool)
     both = _polynomial_terms(board_mm, image_px)

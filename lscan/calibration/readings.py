@@ -21,6 +21,32 @@ def all_marks(reading: BoardReading) -> list[Marks]:
     return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
 
 
+def joined_marks(reading: BoardReading) -> Marks:
+    """``all_marks`` as one, N of them.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm
+    """
+    columns = zip(*(vars(marks).values() for marks in all_marks(reading)), strict=True)
+    return Marks(*map(np.concatenate, columns))
+
+
+def with_marks(reading: BoardReading, marks: Marks) -> BoardReading:
+    """The reading with other marks on its board.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    marks : Marks, N of them, in the order of ``joined_marks``
+    """
+    ends = np.cumsum([len(own.status) for own in all_marks(reading)])[:-1]
+    grid, *on_rulers = map(Marks, *(np.split(column, ends) for column in vars(marks).values()))
+    pairs = zip(reading.rulers, on_rulers, strict=True)
+    rulers = tuple(replace(ruler, marks=own) for ruler, own in pairs)
+    return replace(reading, grid=grid, rulers=rulers)
+
+
 def found_marks(several: Sequence[Marks]) -> tuple[Floats, Floats, Floats]:
     """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order.
 
@@ -56,14 +82,7 @@ def without(reading: BoardReading, left_out: Mask) -> BoardReading:
     reading : BoardReading, of N marks
     left_out : (N,) mask, in the order of ``all_marks``
     """
-    counts = np.cumsum([len(marks.status) for marks in all_marks(reading)])[:-1]
-    grid, *on_rulers = map(_hidden, all_marks(reading), np.split(left_out, counts))
-    rulers = zip(reading.rulers, on_rulers, strict=True)
-    return replace(
-        reading,
-        grid=grid,
-        rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
-    )
+    return with_marks(reading, _hidden(joined_marks(reading), left_out))
 
 
 def _hidden(marks: Marks, hide: Mask) -> Marks:

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from lscan.cli.arguments import Json, require_folders
-from lscan.cli.console import print_json, print_table
+from lscan.cli.console import note, print_json, print_table
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def compare(
 ) -> None:
     """Compare a surface with a mesh: the signed distances of its points."""
     from lscan.files.jsontext import write_json
-    from lscan.files.meshes import MM_PER_UNIT, load_mesh
+    from lscan.files.meshes import MM_PER_UNIT, TWICE, load_mesh
     from lscan.measure.meshcompare import (
         MeshPose,
         compare_mesh,
@@ -60,9 +60,10 @@ def compare(
     if not np.isfinite(turn):
         raise InputError("is not an angle", where="--turn", value=turn, allowed="degrees")
     pose = MeshPose.at(_place(at), turn)
-    found = compare_mesh(
-        load_surface(surface), load_mesh(mesh, MM_PER_UNIT[unit]), pose, fit, within
-    )
+    shape = load_mesh(mesh, MM_PER_UNIT[unit])
+    found = compare_mesh(load_surface(surface), shape, pose, fit, within)
+    if TWICE in shape.metadata:
+        note(f"{mesh} {shape.metadata[TWICE]}")
     if output:
         write_json(output, found.as_json())
     if points:

@@ -94,6 +94,19 @@ def panels(
     return figure, [axes for (axes,) in grid]
 
 
+def png(figure: Figure, dpi: int = 150) -> bytes:
+    """The figure as a PNG file; the same figure gives the same bytes.
+
+    Parameters
+    ----------
+    figure : Figure
+    dpi : int, pixels an inch
+    """
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    return buffer.getvalue()
+
+
 def svg(figure: Figure, key: str, alt: str) -> str:
     """The figure as an inline SVG element; the same figure gives the same characters.
 

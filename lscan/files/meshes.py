@@ -31,12 +31,16 @@ READERS = {"ply": read_ply, "obj": read_obj, "off": read_off}
 UNREAD = "unread"
 """Key of a mesh's metadata: what its file says of reflectance that is not read."""
 
+TWICE = "twice"
+"""Key of a mesh's metadata, of a file with triangles that stand in it again: a note about them."""
+
 
 def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     """The triangles of a mesh file, in mm.
 
     Vertices that coincide are merged, unless the file colours them: two colours may meet there.
-    Where it colours faces, each triangle has vertices of its own.  Other files that the file names
+    Where it colours faces, each triangle has vertices of its own.  Triangles that stand in the file
+    again are left out; ``metadata["twice"]`` says how many.  Other files that the file names
     are not read; ``metadata["unread"]`` names them, and other reflectances that are not read.
 
     Parameters
@@ -56,25 +60,34 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     content = read_bytes(path, MOST_BYTES[kind]).removeprefix(codecs.BOM_UTF8)
     if not content:
         raise InputError("is an empty file", where=path)
+    if kind in ("obj", "off") and b"\0" in content:
+        raise InputError("is no text, or one in UTF-16; save it as UTF-8", where=path)
     try:
         mesh = _read_stl(content) if kind == "stl" else _in_triangles(READERS[kind](content))
     except InputError as error:
         raise InputError(str(error), where=path) from error
     except Exception as error:  # trimesh and NumPy raise whatever they do on what is no such file
-        message = " ".join(f"is not a mesh that can be read: {error}".split())
+        message = f"is not a mesh that can be read: no {kind.upper()}, damaged, or cut short"
         raise InputError(message, where=path) from error
     mesh.vertices *= mm_per_unit
     if np.abs(mesh.vertices).max() > FURTHEST_MM:
         allowed = f"{FURTHEST_MM:g} mm from the origin at most"
         raise InputError("has vertices too far away", where=path, allowed=allowed)
+    vertices, faces, kept = merged(mesh.vertices, mesh.faces)
+    if again := len(mesh.faces) - len(faces):
+        mesh.metadata[TWICE] = f"repeats triangles, which count once: {again}"
     if mesh.visual.kind == "vertex":
+        mesh.update_faces(kept)
         return mesh
-    vertices, faces = merged(mesh.vertices, mesh.faces)
     return trimesh.Trimesh(vertices, faces, process=False, metadata=mesh.metadata)
 
 
-def merged(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
-    """The vertices that faces have, each place once, in their order, and the faces of them.
+def merged(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
+    """The vertices that faces have, each place once, in their order, the faces of them, and which.
+
+    Of faces with the same corners the first is kept: a copy would close the border of an open mesh,
+    and count twice in the mean of normals.  One of the other direction is no copy: two faces back
+    to back are a sheet, or a wall between two bodies.
 
     Parameters
     ----------
@@ -86,7 +99,12 @@ def merged(vertices: Floats, faces: Ints) -> tuple[Floats, Ints]:
     if not used.all():
         vertices, faces = vertices[used], (np.cumsum(used) - 1)[faces]
     first, place = _first_of_equals(np.rint(vertices / MERGED_MM).astype(np.int64))
-    return vertices[first], place[faces]
+    faces = place[faces]
+    a, b, c = faces.T
+    lowest = np.minimum(np.minimum(a, b), c)
+    after = np.where(a == lowest, b, np.where(b == lowest, c, a))
+    kept, _ = _first_of_equals(np.column_stack([lowest, after, a + b + c]))
+    return vertices[first], faces if len(kept) == len(faces) else faces[kept], kept
 
 
 def _first_of_equals(rows: NDArray[np.integer]) -> tuple[Ints, Ints]:

@@ -1,7 +1,7 @@
 """PLY, OBJ and OFF files, read as faces of any number of corners.
 
-Raised ValueError, IndexError, KeyError and OverflowError mean content that does not follow its
-format.
+InputError says what is wrong; any other error that is raised means that the content does not follow
+its format, in a way that has no words of its own.
 """
 
 import re
@@ -103,30 +103,30 @@ def _ply_header(content: bytes) -> tuple[dict[str, PlyElement], str, list[str], 
     ending = re.match(rb"ply[ \t]*(\r\n|\n|\r)", content)
     found = ending and re.search(rb"[\r\n]end_header[ \t]*" + ending[1], content)
     if not ending or not found:
-        raise ValueError("no header from 'ply' to 'end_header'")
+        raise InputError("has no header from 'ply' to 'end_header'")
     elements: dict[str, PlyElement] = {}
-    order, comments = "", []
+    order, comments, element = "", [], PlyElement(0)  # of properties before any element: unread
     for line in content[ending.end() : found.start()].decode("latin-1").split(ending[1].decode()):
         match line.split():
-            case ["format", kind, _]:
+            case ["format", kind, _] if kind in PLY_FORMATS:
                 order = PLY_FORMATS[kind]
-            case ["element", name, count]:
-                elements[name] = PlyElement(int(count))
-                if elements[name].count < 0:
-                    raise ValueError(f"element {name} has {count} rows")
-            case ["property", *kinds, kind, name] if len(kinds) in (0, 2):
-                element = elements[list(elements)[-1]]
-                if name in element.types:
-                    raise ValueError(f"property {name} twice")
+            case ["element", name, count] if count.isdecimal() and name not in elements:
+                elements[name] = element = PlyElement(int(count))
+            case ["property", kind, name] if kind in PLY_TYPES and name not in element.types:
                 element.types[name] = PLY_TYPES[kind]
-                if kinds:
-                    element.lengths[name] = PLY_TYPES[kinds[1]]
+            case ["property", "list", length, kind, name] if {
+                length,
+                kind,
+            } <= PLY_TYPES.keys() and name not in element.types:
+                element.types[name], element.lengths[name] = PLY_TYPES[kind], PLY_TYPES[length]
             case ["comment" | "obj_info", *_]:
                 comments.append(line.split(maxsplit=1)[-1].strip())
             case []:
                 pass
             case _:
-                raise ValueError(f"header line {line.strip()!r}")
+                raise InputError("has a header line that cannot be read", value=line.strip())
+    if not order or "vertex" not in elements or not {*"xyz"} <= elements["vertex"].types.keys():
+        raise InputError("has no format, or no vertices of x, y and z, in its header")
     return elements, order, comments, memoryview(content)[found.end() :]
 
 
@@ -151,6 +151,10 @@ def _ply_rows(
 
     if element.count == 0 or not types:  # rows without anything in them, however many
         return [], body
+    least = row((0,) * len(lengths)).itemsize
+    if element.count * least > len(body):
+        what, allowed = "has fewer rows than its header says", f"{len(body) // least} by its size"
+        raise InputError(what, value=element.count, allowed=allowed)
     if not lengths:
         values = np.frombuffer(body, row(()), element.count)
         return [PlyRows(np.arange(element.count), values)], body[values.nbytes :]
@@ -187,12 +191,12 @@ def _ply_sizes(
             (length,) = struct.unpack_from(lengths[name][0] + dtype.char, body, place)
             count = int(length)
             if count < 0 or count != length:
-                raise ValueError(f"a list of {length} numbers")
+                raise InputError("has a list that cannot be so long", value=length)
             sizes.append(count)
             place += dtype.itemsize
         place += count * np.dtype(kind).itemsize
     if place > len(body):
-        raise ValueError("fewer numbers than its header says")
+        raise InputError("has fewer numbers than its header says")
     return tuple(sizes), place
 
 
@@ -234,22 +238,28 @@ def read_obj(content: bytes) -> PolygonMesh:
     ----------
     content : bytes, of the file
     """
-    vertices: list[list[str]] = []
+    vertices: list[list[float]] = []
     corners: list[int] = []
     sizes: list[int] = []
     materials: dict[str, None] = {}
     for line in content.decode("latin-1").replace("\\\r\n", " ").replace("\\\n", " ").splitlines():
-        match line.split():
-            case ["v", *numbers]:
-                vertices.append(numbers)
-            case ["f", *references]:
-                named = [int(reference.partition("/")[0]) for reference in references]
-                # Counted from 1, or backwards from the last vertex so far.
-                corners += [n - 1 if n > 0 else len(vertices) + n for n in named]
-                sizes.append(len(named))
-            case ["usemtl" | "mtllib" as key, *names]:
-                materials[" ".join([key, *names])] = None
-    table = np.array(vertices, dtype=float).reshape(len(vertices), -1)
+        try:
+            match line.split():
+                case ["v", *numbers]:
+                    vertices.append([float(number) for number in numbers])
+                case ["f", *references]:
+                    named = [int(reference.partition("/")[0]) for reference in references]
+                    # Counted from 1, or backwards from the last vertex so far.
+                    corners += [n - 1 if n > 0 else len(vertices) + n for n in named]
+                    sizes.append(len(named))
+                case ["usemtl" | "mtllib" as key, *names]:
+                    materials[" ".join([key, *names])] = None
+        except ValueError as error:
+            raise InputError("has a line without its numbers", value=line.strip()) from error
+    widths = {len(vertex) for vertex in vertices} or {3}
+    if len(widths) > 1:
+        raise InputError("has vertices of different numbers of values", value=sorted(widths))
+    table = np.array(vertices).reshape(-1, *widths)
     colours = _shares(table[:, 3:6], "f8") if table.shape[1] >= 6 else None
     unread = ", ".join(materials)
     return PolygonMesh(
@@ -271,18 +281,18 @@ def read_off(content: bytes) -> PolygonMesh:
     text = re.sub(r"#.*", "", content.decode("latin-1"))
     head = re.match(r"\s*(?:ST)?(C?)(N?)OFF(?![A-Za-z])(?!\s+BINARY)", text)
     if not head:
-        raise ValueError("no header OFF, COFF, NOFF or CNOFF of a text")
+        raise InputError("has no header OFF, COFF, NOFF or CNOFF of a text")
     lines = [words for words in map(str.split, text[head.end() :].splitlines()) if words]
     (count, faces), rows = map(int, lines[0][:2]), lines[1:]
     if min(count, faces) < 0 or len(rows) < count + faces:
-        raise ValueError("fewer lines than its header says")
+        raise InputError("has fewer lines than its header says")
     table = np.array(rows[:count], dtype=float).reshape(count, -1)
     # Normals, three numbers, come before the colours; texture coordinates, two, after them.
     behind = table[:, 6 if head[2] else 3 :]
     rings = rows[count : count + faces]
     sizes = np.array([int(ring[0]) for ring in rings], dtype=np.int64)
     if (sizes < 0).any() or any(len(r) <= n for r, n in zip(rings, sizes.tolist(), strict=True)):
-        raise ValueError("a face of fewer corners than it says")
+        raise InputError("has a face of fewer corners than it says")
     corners = [int(c) for r, n in zip(rings, sizes.tolist(), strict=True) for c in r[1 : n + 1]]
     looks = [ring[n + 1 :] for ring, n in zip(rings, sizes.tolist(), strict=True)]
     widths = {len(look) for look in looks}
@@ -322,5 +332,5 @@ def _numbers(text: bytes) -> Floats:
         warnings.simplefilter("error", DeprecationWarning)  # of what is no number
         try:
             return np.fromstring(text, dtype=float, sep=" ")
-        except DeprecationWarning as warning:
-            raise ValueError("text that is no number") from warning
+        except (DeprecationWarning, ValueError) as error:
+            raise InputError("has a word that is no number") from error

@@ -1,6 +1,5 @@
 """A surface against a mesh: signed distances, their summary, histogram and coloured points."""
 
-import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from lscan.errors import MeasurementError
-from lscan.figures.style import FIRST, INK, SECOND, WIDTH_IN, styled
+from lscan.figures.style import FIRST, INK, SECOND, WIDTH_IN, png, styled
 from lscan.files.disk import write_atomically
 from lscan.measure.meshdistance import MeshSearch, PlacedMesh
 from lscan.measure.shapefit import fit_shape, measured_points
@@ -241,6 +240,4 @@ def save_histogram(path: Path, comparison: MeshComparison) -> None:
     axes.set_xlabel("distance from the mesh, mm")
     axes.set_ylabel("points")
     axes.legend()
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
-    write_atomically(path, buffer.getvalue())
+    write_atomically(path, png(figure))

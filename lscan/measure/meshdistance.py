@@ -71,7 +71,7 @@ class MeshSearch:
 
     Parameters
     ----------
-    mesh : Trimesh, mm; triangles without area do not count
+    mesh : Trimesh, mm; triangles without area, and copies of others, do not count
 
     Raises
     ------
@@ -80,7 +80,7 @@ class MeshSearch:
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self._vertices, joined = merged(np.asarray(mesh.vertices, dtype=float), mesh.faces)
+        self._vertices, joined, _ = merged(np.asarray(mesh.vertices, dtype=float), mesh.faces)
         faces: NDArray[np.int32] = joined.astype(np.int32)
         del joined  # 120 MB of five million triangles
         area = np.concatenate([trimesh.triangles.area(self._vertices[f]) for f in _chunks(faces)])

@@ -1,12 +1,11 @@
 """Figures of a patch's roughness: its spectrum with band and cutoff, its plane, its rose."""
 
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from lscan.figures.style import ACCENT, FIRST, HEIGHTS, MUTED, SECOND, WIDTH_IN, styled
+from lscan.figures.style import ACCENT, FIRST, HEIGHTS, MUTED, SECOND, WIDTH_IN, png, styled
 from lscan.files.disk import make_folder, write_atomically
 from lscan.roughness.analysis import Roughness
 from lscan.roughness.instrument import ScannerResponse, noise_density
@@ -38,9 +37,7 @@ def save_figures(folder: Path, patch: Patch, found: Roughness, response: Scanner
         "rose": draw_rose(found),
     }
     for name, figure in drawn.items():
-        buffer = BytesIO()
-        figure.savefig(buffer, format="png", dpi=150, metadata={"Software": None})
-        write_atomically(folder / f"{name}.png", buffer.getvalue())
+        write_atomically(folder / f"{name}.png", png(figure))
 
 
 @styled

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lscan.records import Floats, Marks
+from lscan.calibration.readings import joined_marks
+from lscan.records import Floats
 from lscan.suites import BoardCase
 from sim.scene import Scene
 from sim.truth import board_truth
@@ -38,21 +39,10 @@ def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: "Layers
         webcam.expose(layers, exposure_of(scene, webcam, layers), rng),
         scene.board(),
         scene.rig.optics,
-        _marks(scene),
+        joined_marks(board_truth(scene, scene.rig.plan.start_mm).centres),
         pixels,
         places,
     )
-
-
-def _marks(scene: Scene) -> Marks:
-    """The control points and the rulers' marks, one after the other."""
-    found = board_truth(scene, scene.rig.plan.start_mm).centres
-    parts = [found.grid, *(ruler.marks for ruler in found.rulers)]
-    board, image, sigma, status = (
-        np.concatenate([getattr(part, name) for part in parts])
-        for name in ("board_mm", "image_px", "sigma_px", "status")
-    )
-    return Marks(board, image, sigma, status)
 
 
 def _map(scene: Scene) -> tuple[Floats, Floats]:

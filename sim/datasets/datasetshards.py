@@ -30,9 +30,8 @@ from lscan.files.jsontext import json_text, read_json, write_json
 from lscan.files.pictures import encoded
 from lscan.files.runlengths import run_lengths
 from sim.datasets.datasetspec import POSITION, DatasetSpec
-from sim.datasets.labels import Label, label_scene, line_columns, one_step_w_m2_sr
+from sim.datasets.labels import Label, label_scene, line_columns, lit_truths, one_step_w_m2_sr
 from sim.scene import Scene, at_moment
-from sim.truth import stripe_truth
 
 Format = Literal["webdataset", "hdf5", "folders"]
 ENDINGS: Mapping[Format, str] = {"webdataset": ".tar", "hdf5": ".h5", "folders": ""}
@@ -233,9 +232,7 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
     webcam = Webcam(at.scene)
     layers, exposure_ms = metered(at.scene, tank, webcam, at.position_mm)
     image = webcam.expose(layers, exposure_ms, np.random.default_rng([scene.tank.sensor.seed, 1]))
-    laser = at.scene.tank.laser
-    lines = range(len(laser.sheets) if laser.on else 0)
-    truths = [stripe_truth(at.scene, at.position_mm, line) for line in lines]
+    truths = lit_truths(at.scene, at.position_mm)
     labels = label_scene(at.scene, at.position_mm, layers, truths, exposure_ms)
     step = one_step_w_m2_sr(at.scene)
     unit = step if np.isfinite(step) else 1.0

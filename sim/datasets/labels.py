@@ -59,13 +59,23 @@ def label_scene(
     laser; of none where it is off; found anew if None.  exposure_ms: of the picture; the rig's if
     None.  Raises InputError as ``label_picture`` and ``stripe_truth``.
     """
-    laser, camera = scene.tank.laser, scene.rig.camera
-    count = len(laser.sheets) if laser.on else 0
     if truths is None:
-        truths = [stripe_truth(scene, position_mm, line) for line in range(count)]
+        truths = lit_truths(scene, position_mm)
     lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
-    pixels = layers.binned((camera.height_px, camera.width_px))
+    pixels = layers.binned(scene.rig.camera.size_px[::-1])
     return label_picture(pixels, lines, one_step_w_m2_sr(scene, exposure_ms))
+
+
+def lit_truths(scene: Scene, position_mm: float) -> list[StripeTruth]:
+    """The truth of each of the laser's lines, of none where it is off.
+
+    Parameters
+    ----------
+    scene : Scene, as it is in the picture
+    position_mm : float, mm, along the track
+    """
+    count = len(scene.tank.laser.sheets) if scene.tank.laser.on else 0
+    return [stripe_truth(scene, position_mm, line) for line in range(count)]
 
 
 def label_picture(
@@ -169,9 +179,7 @@ def check_sampling(scene: Scene, position_mm: float, samples: int, where: object
     if not scene.tank.laser.on:
         return
     sharp = scene.with_tank(lens={"blur_px": 0.0})
-    truths = [
-        stripe_truth(scene, position_mm, line) for line in range(len(scene.tank.laser.sheets))
-    ]
+    truths = lit_truths(scene, position_mm)
     widths = np.concatenate([line_sigma_px(sharp, truth) for truth in truths])
     if not np.isfinite(widths).any():
         return

@@ -63,7 +63,7 @@ def tank() -> TankPictures:
         document = merge(read_document(included_file(Path(), scene)), dict(sections or {}))
         content = json.dumps([scene, by_content(document)], sort_keys=True, default=str)
         if content not in known:
-            known[content] = rendered_case(scene, sections or {})
+            known[content] = rendered_case(scene, document)
         return known[content]
 
     return shown

@@ -1,34 +1,28 @@
 """One scene rendered as a case: a picture with its truth."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
-
-from lscan.config.documents import merge, read_document
+from lscan.config.documents import Document
 from lscan.config.rigfile import inline_board, parse_rig
-from lscan.config.scenes import included_file
 from lscan.suites import BoardCase, SuiteCase
 from sim.datasets.boards import board_case
 from sim.datasets.lines import line_case, line_truths
 from sim.scene import scene_of
 
 
-def rendered_case(scene: str, sections: Mapping[str, Mapping[str, Any]]) -> SuiteCase | BoardCase:
+def rendered_case(scene: str, document: Document) -> SuiteCase | BoardCase:
     """The picture that a scene's webcam takes at the start of its plan, with its truth.
 
     Parameters
     ----------
-    scene : str, a name or a path
-    sections : mapping, by section, keys laid over the scene's own
+    scene : str, a name or a path, for errors
+    document : Document, of that scene
 
     Raises
     ------
     InputError
-        There is no such scene, or a key or a value is wrong.
+        A key or a value is wrong.
     """
     from sim.render.tank import Tank
 
-    document = merge(read_document(included_file(Path(), scene)), dict(sections))
     loaded = scene_of(parse_rig(inline_board(document, source=scene), source=scene))
     layers = Tank(loaded).render(loaded.rig.plan.start_mm)
     name, axes = loaded.rig.name, {"scene": scene}

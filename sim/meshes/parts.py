@@ -70,6 +70,7 @@ def moved(part: MeshPart, pose: Pose) -> MeshPart:
     mesh = part.mesh
     normals = mesh.vertex_normals @ pose.rotation.T if part.smooth else None
     mesh = plain_mesh(pose.apply(np.asarray(mesh.vertices)), mesh.faces)
+    mesh.metadata = part.mesh.metadata
     if normals is not None:
         mesh.vertex_normals = normals
     return replace(part, mesh=mesh)

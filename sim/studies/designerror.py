@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from lscan.calibration.readings import all_marks, joined_marks
 from lscan.config.documents import Document, merge
 from lscan.config.rigfile import parse_rig
 from lscan.errors import MeasurementError
@@ -25,7 +26,7 @@ from sim.studies.boardinview import require_rim
 from sim.studies.design import LONGEST_MS
 from sim.studies.geometric import GeometricRig
 from sim.studies.places import places_of, require_one_line
-from sim.studies.prepared import Prepared, marks_of, on_board, stated
+from sim.studies.prepared import Prepared, on_board, stated
 from sim.studies.problem import columns
 from sim.studies.sampling import ALL, SETS, make_design
 from sim.studies.scatter import line_bounds_px, lines_at
@@ -176,9 +177,7 @@ def predicted(study: Study, above: AboveBounds = AT_BOUNDS) -> Prepared:
     require_rim(study.calibrate)
     truth = board_truth(study.calibrate).centres
     sigma = above.marks * marks_sigma_px(study.calibrate)
-    several = marks_of(truth)
-    ends = np.cumsum([len(marks.status) for marks in several])[:-1]
-    reading = stated(truth, np.split(sigma, ends), [marks.status for marks in several])
+    reading = stated(truth, sigma, joined_marks(truth).status)
     places = places_of(study.scan, study.file.places.pictures, study.file.places.columns)
     bounds = line_bounds_px(study.scan, places, lines_at(study.scan, places))
     known = np.isfinite(bounds).all(axis=0) & on_board(study, reading, places)
@@ -232,7 +231,7 @@ def marks_sigma_px(scene: Scene) -> Floats:
     bound = [
         noise / contrast * sqrt(2 * blur / (sqrt(pi) * px_per_mm * size / 2)) for size in sizes
     ]
-    return np.repeat(bound, [len(marks.status) for marks in marks_of(truth)])
+    return np.repeat(bound, [len(marks.status) for marks in all_marks(truth)])
 
 
 def _scale(grid: Marks, wide: int, pitch_mm: float) -> float:

@@ -17,7 +17,8 @@ import numpy as np
 from lscan.calibration.api import NamedSolver, find_solver
 from lscan.calibration.carry import carried
 from lscan.calibration.outliers import screened
-from lscan.records import BoardReading, Floats, Marks, Status, select
+from lscan.calibration.readings import joined_marks, with_marks
+from lscan.records import BoardReading, Floats, Status, select
 from sim.scene import Pose, Scene, at_moment, into_world
 from sim.scene.moment import is_changing
 from sim.studies.errors import ErrorFrame
@@ -125,19 +126,14 @@ class GeometricRig:
     def _reading(self, board: Scene, seeds: Mapping[str, int], stream: int) -> BoardReading:
         """What the instrument reads of the board in a state of the rig."""
         nominal = self.prepared.reading
-        several = (nominal.grid, *(ruler.marks for ruler in nominal.rulers))
         image = board_truth(board).marks_px()
         image += self.prepared.marks_off_px(seeds, stream)
-        ends = np.cumsum([len(marks.status) for marks in several])[:-1]
-        moved = [_moved(*pair) for pair in zip(several, np.split(image, ends), strict=True)]
-        rulers = zip(nominal.rulers, moved[1:], strict=True)
-        return replace(
-            nominal,
-            grid=moved[0],
-            rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
-            dots={},
-            rings={},
-        )
+        marks = joined_marks(nominal)
+        seen = marks.found & np.isfinite(image).all(axis=1)  # one behind the camera has no place
+        status = np.where(marks.found & ~seen, Status.NOT_FOUND, marks.status)
+        image_px = np.where(seen[:, np.newaxis], image, np.nan)
+        moved = with_marks(nominal, replace(marks, image_px=image_px, status=status))
+        return replace(moved, dots={}, rings={})
 
     @cached_property
     def _solver(self) -> NamedSolver:
@@ -213,9 +209,3 @@ def seen_together(moments: Sequence[Scene], points_head: Sequence[Floats]) -> Fl
 def _same(one: TrueCamera, other: TrueCamera) -> bool:
     optics = [(camera.lens, camera.port, camera.water_index) for camera in (one, other)]
     return optics[0] == optics[1]
-
-
-def _moved(marks: Marks, image: Floats) -> Marks:
-    seen = marks.found & np.isfinite(image).all(axis=1)  # one behind the camera has no place
-    status = np.where(marks.found & ~seen, Status.NOT_FOUND, marks.status)
-    return replace(marks, image_px=np.where(seen[:, np.newaxis], image, np.nan), status=status)

@@ -5,7 +5,7 @@ by the instrument's own algorithms.  Kept beside the study, so that every worker
 goes on later has the same numbers.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from io import BytesIO
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap, find_solver
+from lscan.calibration.readings import joined_marks, with_marks
 from lscan.calibration.solved import SolvedMap
 from lscan.errors import MeasurementError
 from lscan.files.containers import npz_arrays
@@ -21,7 +22,6 @@ from lscan.records import (
     Bytes,
     Floats,
     Ints,
-    Marks,
     Mask,
     Progress,
     Status,
@@ -107,8 +107,8 @@ class Prepared:
         """It as the bytes of an .npz file, which holds arrays alone."""
         arrays = {f"places.{key}": value for key, value in vars(self.places).items()}
         arrays |= {key: vars(self)[key] for key in _NUMBERS}
-        arrays["sigma_px"] = np.concatenate([marks.sigma_px for marks in marks_of(self.reading)])
-        arrays["status"] = np.concatenate([marks.status for marks in marks_of(self.reading)])
+        marks = joined_marks(self.reading)
+        arrays |= {"sigma_px": marks.sigma_px, "status": marks.status}
         file = BytesIO()
         np.savez(file, **arrays)
         return file.getvalue()
@@ -269,63 +269,38 @@ def _board(scene: Scene) -> tuple[BoardReading, Floats, Floats]:
     layers = tank.render(scene.rig.plan.positions_mm()[0])
     board, channel = scene.board(), scene.rig.calibration.channel
     pictures = [exposed(scene, layers, noise, noise, 1) for noise in (False, True)]
-    quiet, usual = (read_board(picture, board, channel=channel) for picture in pictures)
-    status = np.concatenate([marks.status for marks in marks_of(usual)])
-    sigma = np.concatenate([marks.sigma_px for marks in marks_of(usual)])
-    reading = _reading(scene, sigma, status)
-    true, found = (
-        np.concatenate([marks.image_px for marks in marks_of(one)]) for one in (reading, quiet)
+    quiet, usual = (
+        joined_marks(read_board(picture, board, channel=channel)) for picture in pictures
     )
-    off = found - true
+    sigma, reading = usual.sigma_px, _reading(scene, usual.sigma_px, usual.status)
+    off = quiet.image_px - joined_marks(reading).image_px
     return reading, np.where(np.isfinite(off), off, 0.0), np.where(np.isfinite(sigma), sigma, 0.0)
 
 
 def _reading(scene: Scene, sigma: Floats, status: Ints) -> BoardReading:
     """The marks where they truly are, with the statuses and uncertainties of a reading."""
     truth = board_truth(scene, scene.rig.plan.positions_mm()[0]).centres
-    several = marks_of(truth)
-    ends = np.cumsum([len(marks.status) for marks in several])[:-1]
-    return stated(truth, np.split(sigma, ends), np.split(status, ends))
+    return stated(truth, sigma, status)
 
 
-def stated(reading: BoardReading, sigma: Sequence[Floats], status: Sequence[Ints]) -> BoardReading:
+def stated(reading: BoardReading, sigma: Floats, status: Ints) -> BoardReading:
     """A reading of points and rulers alone, with other uncertainties of its marks.
 
     Parameters
     ----------
     reading : BoardReading
-    sigma, status : sequence of (N_i,) array, of the control points and of each ruler's marks: px,
-        and one that is not OK takes a mark away
+    sigma, status : (N,) array, in the order of ``joined_marks``: px, and one that is not OK takes a
+        mark away
     """
-    grid, *others = (_stated(*one) for one in zip(marks_of(reading), sigma, status, strict=True))
-    rulers = zip(reading.rulers, others, strict=True)
-    return replace(
-        reading,
-        grid=grid,
-        rulers=tuple(replace(ruler, marks=marks) for ruler, marks in rulers),
-        dots={},
-        rings={},
-    )
-
-
-def _stated(marks: Marks, sigma: Floats, status: Ints) -> Marks:
+    marks = joined_marks(reading)
     found = (status == Status.OK) & marks.found
-    return replace(
+    known = replace(
         marks,
         image_px=np.where(found[:, np.newaxis], marks.image_px, np.nan),
         sigma_px=np.where(found, sigma, np.nan),
         status=np.where(found, Status.OK, np.where(marks.found, status, marks.status)),
     )
-
-
-def marks_of(reading: BoardReading) -> list[Marks]:
-    """The control points, and the marks of each ruler.
-
-    Parameters
-    ----------
-    reading : BoardReading
-    """
-    return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
+    return replace(with_marks(reading, known), dots={}, rings={})
 
 
 def located(plane_map: PlaneMap, pixels: Floats) -> Floats:

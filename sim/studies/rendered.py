@@ -11,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from lscan.board import read_board
+from lscan.calibration.readings import joined_marks
 from lscan.records import BoardReading, Floats, select
 from sim.render.tank import Tank
 from sim.scene import Scene, at_moment
 from sim.studies.geometric import GeometricRig
 from sim.studies.places import ScanPlaces
-from sim.studies.prepared import SENSOR, SPECKLE, centres_in, exposed, marks_of, stated
+from sim.studies.prepared import SENSOR, SPECKLE, centres_in, exposed, stated
 from sim.studies.states import RigStates
 
 STEP_RAD = 1e-4  # of a ray in the fan: a tenth of a pixel; the line is straight over that
@@ -76,8 +77,8 @@ class RenderedRig(GeometricRig):
             return replace(reading, dots={}, rings={})
         # Of a picture without noise a ruler's marks state a tenth of their uncertainty, the points
         # hardly less: a map that weighs them so is no map of this instrument.
-        usual = marks_of(self.prepared.reading)
-        return stated(reading, [m.sigma_px for m in usual], [m.status for m in usual])
+        usual = joined_marks(self.prepared.reading)
+        return stated(reading, usual.sigma_px, usual.status)
 
 
 def _mixed(seeds: Mapping[str, int], picture: int) -> int:

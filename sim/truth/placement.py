@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 
 from lscan.errors import InputError
+from lscan.files.meshes import TWICE
 from lscan.records import Floats, Mask
 from sim.meshes import target_mesh
 from sim.scene import PlanePort, Scene, camera_pose, head_pose, into_world, target_pose
@@ -59,10 +60,9 @@ def mesh_notes(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
     name = Path(scene.tank.target.file or "").name
     own = target_pose(scene).invert(np.asarray(mesh.vertices))
     size = " x ".join(f"{side:.4g}" for side in np.ptp(own, axis=0))
-    return [
-        f"target.file: {name} is {size} mm, {len(mesh.faces)} triangles",
-        *(f"target.file: {name} {gaps}" for gaps in gaps_of(mesh)),
-    ]
+    twice = [mesh.metadata[TWICE]] if TWICE in mesh.metadata else []
+    said = [f"is {size} mm, {len(mesh.faces)} triangles", *twice, *gaps_of(mesh)]
+    return [f"target.file: {name} {note}" for note in said]
 
 
 def gaps_of(mesh: trimesh.Trimesh) -> list[str]:

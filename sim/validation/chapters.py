@@ -8,6 +8,8 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from lscan.acquisition.inorder import cores
+from lscan.config.rigfile import load_rig
+from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.render.backend import THREADS
 from sim.validation.rows import Row, RowFile, measured
@@ -57,6 +59,26 @@ def run_chapters(
             if progress is not None:
                 progress(done, len(chapters))
     return file.rows
+
+
+def runs_folder(scenes: Path, output: Path) -> Path:
+    """The folder of a table's runs beside its file, made: the file's path without its ending.
+
+    Parameters
+    ----------
+    scenes : Path, folder of the scenes of board and sandwave, of which a bad one is refused first
+    output : Path, the JSON file
+
+    Raises
+    ------
+    InputError
+        A scene file is wrong, or the disk refuses.
+    """
+    for name in ("board", "sandwave"):
+        load_rig(scenes / f"{name}.toml")
+    folder = output.with_suffix("") if output.suffix else output.with_name(f"{output.name}-runs")
+    make_folder(folder)
+    return folder
 
 
 def in_turn(chapters: Chapters, file: RowFile, progress: Progress | None = None) -> list[Row]:

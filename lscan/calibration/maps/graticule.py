@@ -12,11 +12,12 @@ from lscan.calibration.evaluate import Estimate
 from lscan.calibration.maps.lines import DEGREE, Fit, GridLine, fit_lines
 from lscan.calibration.maps.lineset import LineSet, Targets
 from lscan.calibration.maps.rulers import FittedRuler, fit_rulers
+from lscan.calibration.readings import joined_marks, with_marks
 from lscan.calibration.region import covered_region, spacing_px
 from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
-from lscan.records import BoardReading, Floats, Marks, Mask, select
+from lscan.records import BoardReading, Floats, Mask, select
 
 NO_RULERS = "-norulers"
 VARIANTS: dict[str, tuple[Fit, bool]] = {
@@ -156,12 +157,8 @@ def _rows_run_down(reading: BoardReading) -> bool:
 
 def _transposed(reading: BoardReading) -> BoardReading:
     """The reading of the picture with u and v exchanged, of grid and rulers."""
-
-    def swapped(marks: Marks) -> Marks:
-        return replace(marks, image_px=marks.image_px[:, ::-1])
-
-    rulers = tuple(replace(ruler, marks=swapped(ruler.marks)) for ruler in reading.rulers)
-    return replace(reading, grid=swapped(reading.grid), rulers=rulers)
+    marks = joined_marks(reading)
+    return with_marks(reading, replace(marks, image_px=marks.image_px[:, ::-1]))
 
 
 def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | None]:

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field
 
 from lscan.calibration.maps.refractivefit import fit_view
 from lscan.calibration.physical import PhysicalMap, SheetGeometry, change_modes
-from lscan.calibration.readings import all_marks, without
+from lscan.calibration.readings import joined_marks, without
 from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver
 from lscan.calibration.stored import Matrix, Number, Place, check_theta, of_length
@@ -200,7 +200,7 @@ def _points_of(
     fit: CameraFit, reading: BoardReading, optics: OpticsSection
 ) -> tuple[Refractive, BoardReading]:
     """The map of a fit without its uncertainty, and the reading without the outliers."""
-    outliers = np.concatenate([marks.found for marks in all_marks(reading)])
+    outliers = joined_marks(reading).found
     outliers[outliers] = ~fit.good
     sound = without(reading, outliers)
     theta = np.delete(fit.boards.theta, K3)

@@ -6,7 +6,7 @@ leave a choice, and the covariance shows how much choice there was.
 
 import numpy as np
 
-from lscan.calibration.readings import all_marks, found_on
+from lscan.calibration.readings import found_on, joined_marks
 from lscan.camera.boards import PosedBoards
 from lscan.camera.fit import (
     MOST_EVALUATIONS,
@@ -59,8 +59,7 @@ def fit_view(
     if found < FEWEST:
         raise BoardNotFound(f"a refractive map needs {FEWEST} control points, found {found}")
     priors = priors_of(optics, reading.image_size)
-    several = all_marks(reading)
-    marks = found_on(several, [0] * len(several))
+    marks = found_on([joined_marks(reading)], [0])
     view = start
     if view is None:
         few = _some(marks)

@@ -4,10 +4,8 @@ import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from lscan.config.rigfile import load_rig
-from lscan.files.disk import make_folder
 from lscan.records import Progress
-from sim.validation.chapters import in_turn
+from sim.validation.chapters import in_turn, runs_folder
 from sim.validation.robustness.agreement import agreement_rows
 from sim.validation.robustness.campaign import Outcome, fault_rows
 from sim.validation.robustness.effort import FULL, QUICK
@@ -17,8 +15,6 @@ from sim.validation.robustness.livepage import livepage_rows
 from sim.validation.robustness.moving import moving_rows
 from sim.validation.robustness.overhead import overhead_rows
 from sim.validation.rows import Row, RowFile
-
-NEEDED = ("board", "sandwave")
 
 
 def run_hardware(
@@ -42,10 +38,7 @@ def run_hardware(
     InputError
         A scene file is wrong, or the disk refuses.
     """
-    for name in NEEDED:
-        load_rig(scenes / "paper" / f"{name}.toml")  # refuses a bad file before minutes of work
-    folder = output.with_suffix("") if output.suffix else output.with_name(f"{output.name}-runs")
-    make_folder(folder)
+    folder = runs_folder(scenes / "paper", output)  # refuses a bad file before minutes of work
     file = RowFile(output, quick)
     effort = QUICK if quick else FULL
     outcomes: list[Outcome] = []

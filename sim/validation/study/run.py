@@ -4,11 +4,9 @@ import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from lscan.config.rigfile import load_rig
-from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.studies.studyfile import Looked
-from sim.validation.chapters import in_turn
+from sim.validation.chapters import in_turn, runs_folder
 from sim.validation.rows import Row, RowFile
 from sim.validation.study import coverage, crosscheck, running
 from sim.validation.study.designs import design_rows
@@ -17,8 +15,6 @@ from sim.validation.study.rendered import rendered_rows
 from sim.validation.study.speed import speed_rows
 from sim.validation.study.tiers import tier_rows
 from sim.validation.study.tolerances import tolerance_rows
-
-NEEDED = ("board", "sandwave")
 
 
 def run_budgets(
@@ -41,10 +37,7 @@ def run_budgets(
     InputError
         A scene file is wrong, or the disk refuses.
     """
-    for name in NEEDED:
-        load_rig(scenes / "best" / f"{name}.toml")  # refuses a bad file before minutes of work
-    folder = output.with_suffix("") if output.suffix else output.with_name(f"{output.name}-runs")
-    make_folder(folder)
+    folder = runs_folder(scenes / "best", output)  # refuses a bad file before minutes of work
     chapters = _quick() if quick else _full(scenes, folder)
     return in_turn(chapters, RowFile(output, quick), progress)
 

@@ -5,12 +5,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from lscan.calibration.readings import joined_marks
 from lscan.config.documents import Document
 from lscan.config.rigfile import parse_rig
 from lscan.records import select
 from sim.scene import Scene, load_scene, scene_of
 from sim.studies.places import ScanPlaces, places_of
-from sim.studies.prepared import Prepared, marks_of, on_board, stated
+from sim.studies.prepared import Prepared, on_board, stated
 from sim.studies.running import RigSource
 from sim.studies.studyfile import Study, study_of
 from sim.truth import board_truth
@@ -78,13 +79,11 @@ def assumed(study: Study, places: ScanPlaces | None = None) -> Prepared:
     places : ScanPlaces or None, of its scan where they are known
     """
     truth = board_truth(study.calibrate).centres
-    several = marks_of(truth)
-    reading = stated(
-        truth, [np.full(len(m.status), MARK_PX) for m in several], [m.status for m in several]
-    )
+    status = joined_marks(truth).status
+    reading = stated(truth, np.full(len(status), MARK_PX), status)
     places = places or places_of(study.scan, study.file.places.pictures, study.file.places.columns)
     places = select(places, on_board(study, reading, places))
-    count, marks = len(places.frame), sum(len(m.status) for m in several)
+    count, marks = len(places.frame), len(status)
     return Prepared(
         places=places,
         reading=reading,

@@ -78,6 +78,14 @@ def test_a_surface_is_compared_with_a_mesh(
     assert [float(mm) for mm in re.findall(r"-?\d+\.\d+", where)] == pytest.approx(
         [0, 0, 0], abs=0.01
     )
+    double = trimesh.util.concatenate([trimesh.load_mesh(folder / "ball.stl")] * 2)
+    double.export(folder / "double.stl")
+    code, out, err = call(
+        capsys, "compare", folder / "dome.nc", folder / "double.stl", "--unit", "cm", "--json"
+    )
+    assert (code, json.loads(out)) == (0, content)
+    said = f"{folder / 'double.stl'} repeats triangles, which count once: {20 * 4**5}"
+    assert err == f"lscan: note: {said}\n"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from lscan.errors import InputError
-from lscan.files.meshes import UNREAD, load_mesh
+from lscan.files.meshes import TWICE, UNREAD, load_mesh
 from lscan.files.polygons import PolygonMesh, triangles_of
 from lscan.records import Floats, Ints
 
@@ -221,6 +221,21 @@ def test_colours_are_read_wherever_a_format_keeps_them(tmp_path: Path, name: str
     (tmp_path / name).write_text(COLOURED[name])
     mesh = load_mesh(tmp_path / name)
     np.testing.assert_array_equal(mesh.visual.vertex_colors[:, :3], [[128, 64, 0]] * 3)
+
+
+@pytest.mark.parametrize("name", ["plain.stl", "coloured.ply"])
+def test_a_triangle_that_stands_in_a_file_again_is_left_out(tmp_path: Path, name: str) -> None:
+    """Whichever corner it begins with; the other way round it is the back of a sheet."""
+    triangle = np.eye(3)
+    three = np.vstack([triangle, triangle[[1, 2, 0]], triangle[::-1]])
+    mesh = trimesh.Trimesh(three, np.arange(9).reshape(3, 3), process=False)
+    if name == "coloured.ply":
+        mesh.visual.vertex_colors = [128, 64, 0, 255]
+    mesh.export(tmp_path / name)
+    found = load_mesh(tmp_path / name)
+    assert found.metadata[TWICE] == "repeats triangles, which count once: 1"
+    np.testing.assert_array_equal(found.triangles, three.reshape(3, 3, 3)[[0, 2]])
+    assert found.visual.kind == mesh.visual.kind
 
 
 UNREAD_FILES = {

@@ -35,6 +35,7 @@ from lscan.config.board import load_board
 from lscan.config.rigfile import load_rig
 from lscan.config.shapes import load_shapes
 from lscan.errors import InputError
+from lscan.files import datasets
 from lscan.files.datasets import MEMBERS, PictureDataset
 from lscan.files.meshes import load_mesh
 from lscan.files.pictures import encoded, read_picture
@@ -261,6 +262,15 @@ def test_what_is_whole_is_read(outside: Path, form: str) -> None:
     read_whole(outside.parent / "set")
 
 
+def test_a_truth_may_be_larger_than_a_picture_s_file(
+    outside: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a picture of 8 Mpx lscan writes more than pictures may have: 24 bytes a pixel."""
+    monkeypatch.setattr(datasets, "MOST_BYTES", len(members()["picture.png"]))
+    dataset(outside.parent / "set", "webdataset")
+    read_whole(outside.parent / "set")
+
+
 def test_a_tar_file_of_other_programs_is_read(outside: Path) -> None:
     """With pax headers, as GNU tar and bsdtar write for times to a nanosecond, and a folder."""
     shard = dataset(outside.parent / "set", "webdataset")
@@ -451,6 +461,43 @@ def test_nothing_is_waited_for_or_followed_to_verify_a_shard(outside: Path, form
         refusal(PictureDataset(folder).verify, "shard-000000")
 
 
+@pytest.mark.parametrize("form", SHARDS)
+def test_a_shard_larger_than_its_pictures_is_not_hashed(outside: Path, form: str) -> None:
+    """400 GB, none of them written; its pictures are read as ever."""
+    shard = dataset(outside.parent / "set", form)
+    hole = shard / "hole" if shard.is_dir() else shard
+    hole.touch()
+    os.truncate(hole, 400 * 10**9)
+    said = "is too large: bytes (got 400000000000; allowed: "
+    refusal(PictureDataset(shard.parent).verify, str(hole), said)
+    read_whole(shard.parent)
+
+
+@pytest.mark.parametrize("form", SHARDS)
+def test_the_member_at_fault_is_named(outside: Path, form: str) -> None:
+    """The one that is too large, or the picture whose header cannot say how large others may be."""
+    folder = outside.parent / "set"
+    large = bytes(2**20 + 64 * 12 + 1)
+    for changed, said in (
+        ({"truth.npz": large}, "truth.npz"),
+        ({"labels.png": large, "picture.png": b"GIF89a"}, "picture.png: is not an 8-bit grey or"),
+        ({"labels.png": large, "scene.json": large}, "labels.png"),
+    ):
+        shard = dataset(folder, form, **changed)
+        refusal(lambda: read_whole(folder), KEY, said)
+        shutil.rmtree(shard) if shard.is_dir() else shard.unlink()
+    if form == "webdataset":
+        for name in MEMBERS:
+            dataset(folder, form)
+            with tarfile.open(folder / SHARDS[form], "w", format=tarfile.USTAR_FORMAT) as tar:
+                for other, data in members().items():
+                    info = tarfile.TarInfo(f"{KEY}.{other}")
+                    info.size = len(data)
+                    if other != name:
+                        tar.addfile(info, io.BytesIO(data))
+            refusal(lambda: read_whole(folder), KEY, f"lacks the picture's {name} (got '{KEY}')")
+
+
 def npz(name: str = "depth_mm.npy", data: bytes = b"", how: int = zipfile.ZIP_STORED) -> bytes:
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", how) as file:
@@ -473,12 +520,21 @@ def stating(size: int) -> bytes:
     return bytes(data)
 
 
+def truth(**arrays: np.ndarray) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return stream.getvalue()
+
+
+LINE = {"status": np.array([[0, 7, 0, 0]]), "centre_px": np.array([[1.0, np.nan, 2.0, 2.0]])}
 MEMBER_HARMS: list[tuple[str, bytes, str]] = [
     ("picture.png", grey_png(60_000, 60_000, zlib.compress(b"")), "or too large"),
     ("picture.png", b"GIF89a", "is not an 8-bit grey or RGB picture"),
     ("picture.png", encoded(np.zeros((3, 4), np.uint8), ".jpg"), "is not an 8-bit"),
     ("labels.png", grey_png(30_000, 30_000, zlib.compress(b"")), "or too large"),
     ("labels.png", b"", "is not an 8-bit grey or RGB picture"),
+    ("labels.png", encoded(np.zeros((4, 3), np.uint8), ".png"), "another shape (got (4, 3); allow"),
+    ("labels.png", encoded(np.zeros((3, 4, 3), np.uint8), ".png"), "allowed: grey, (3, 4))"),
     ("truth.npz", npz(data=npy((2**38,))), "cannot be read as arrays"),
     ("truth.npz", npz(data=npy((2, -3), data=bytes(24))), "cannot be read as arrays"),
     ("truth.npz", npz(data=npy((1,), "|O", bytes(8))), "cannot be read as arrays"),
@@ -487,6 +543,35 @@ MEMBER_HARMS: list[tuple[str, bytes, str]] = [
     ("truth.npz", stating(2**31), "unpacks to too much: bytes (got 2147483648"),
     ("truth.npz", stating(5), "cannot be read as arrays"),
     ("truth.npz", b"", "cannot be read as arrays"),
+    *(
+        ("truth.npz", truth(**arrays), said)
+        for arrays, said in (
+            (
+                {"x_mm": np.ones((4, 3))},
+                "x_mm: is no such array (got 'float64 (4, 3)'; allowed: float",
+            ),
+            ({"normals": np.ones((3, 4))}, "allowed: floating (3, 4, 3))"),
+            ({"depth_mm": np.ones((3, 4), int)}, "depth_mm: is no such array (got 'int64 (3, 4)'"),
+            ({"layer_direct": np.full((3, 4), "far")}, "layer_direct: is no such array (got '<U3"),
+            ({"x_mm": np.zeros((3, 4), [("a", "f4")])}, "x_mm: is no such array"),
+            ({"centre_px": np.ones((1, 4))}, "centre_px: is no such array"),
+            ({"status": np.int64(0)}, "status: is no such array (got 'int64 ()'"),
+            ({"status": np.zeros((1, 5), int)}, "status: is no such array (got 'int64 (1, 5)'"),
+            ({"status": np.zeros((1, 4))}, "status: is no such array (got 'float64 (1, 4)'"),
+            (
+                {"status": np.array([[0, 7, 8, 99]])},
+                "status: is no code of Status (got 99)",
+            ),
+            (
+                LINE | {"width_px": np.ones((2, 4))},
+                "width_px: is no such array (got 'float64 (2, 4)'",
+            ),
+            (
+                LINE | {"height_dn": np.array([[1, 1, np.nan, 1.0]])},
+                "height_dn: is not finite where",
+            ),
+        )
+    ),
     ("scene.json", b"[" * 100_000, "is not valid JSON"),
     ("scene.json", b"[" * 60 + b"]" * 60, "too deep in one another"),
     ("scene.json", b'{"a": NaN}', "is not valid JSON"),
@@ -514,6 +599,11 @@ MANIFESTS: list[Any] = [
         {"keys": ["../../outside"]}, {"keys": [""]},
     )),
     {"version": 1, "shards": [], "classes": []}, {"version": 1, "shards": [], "failed": [1]},
+    *({"version": 1, "shards": [ENTRY], **harm} for harm in (
+        {"shards": [{**ENTRY, "keys": [KEY, KEY]}]}, {"failed": {KEY: "why"}},
+        {"failed": {"1": ""}}, {"pictures": 2}, {"pictures": "1"}, {"count": 1.5},
+        {"format": "zip"}, {"classes": {"LINE": -1}}, {"classes": {"LINE": 256}},
+    )),
 ]  # fmt: skip
 
 
@@ -522,7 +612,7 @@ def test_a_manifest_of_other_types_is_refused(outside: Path, number: int) -> Non
     folder = outside.parent / "set"
     dataset(folder, "webdataset")
     (folder / "manifest.json").write_text(json.dumps(MANIFESTS[number]), encoding="utf-8")
-    refusal(lambda: PictureDataset(folder), "manifest.json", "is ")
+    refusal(lambda: PictureDataset(folder), "manifest.json: ")
 
 
 # ---- suites ---------------------------------------------------------------------------------

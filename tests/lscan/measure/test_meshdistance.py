@@ -114,6 +114,8 @@ def test_beside_an_open_mesh_there_is_nothing_to_compare() -> None:
     assert len(found.distance_mm) == over.sum()
     assert found.beside == (~over).sum()
     np.testing.assert_allclose(found.distance_mm, 0.3, atol=1e-9)
+    double = trimesh.util.concatenate([patch, patch])
+    assert compare_mesh(surface, double, found.pose, within_mm=100.0).beside == found.beside
 
 
 def test_points_far_off_are_of_something_else() -> None:

@@ -1,6 +1,7 @@
 """Mesh files of strangers: whatever they hold, they are read, or refused in one line."""
 
 import os
+import re
 import struct
 from pathlib import Path
 
@@ -28,6 +29,30 @@ BINARY = "binary_little_endian"
 TEXT = b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
 FACE = b"\x03" + struct.pack("<3i", 0, 1, 2)
 OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+HEADER = ply("ascii", 3, 1)
+REFUSED: dict[str, tuple[bytes, str]] = {
+    "binary.obj": (bytes(range(256)), "is no text, or one in UTF-16"),
+    "wide.obj": (
+        (OBJ + b"f 1 2 3\n").decode().encode("utf-16"),
+        "is no text, or one in UTF-16",
+    ),
+    "wide.off": ("OFF\n3 1 0\n".encode("utf-16"), "is no text, or one in UTF-16"),
+    "letters.obj": (b"\xff\xd8\xe0" * 99, "holds no triangles"),
+    "word.obj": (OBJ + b"v 1 x 2\nf 1 2 3\n", "line without its numbers (got 'v 1 x 2')"),
+    "corner.obj": (OBJ + b"f 1 two 3\n", "line without its numbers (got 'f 1 two 3')"),
+    "ragged.obj": (OBJ + b"v 1 2\nf 1 2 3\n", "different numbers of values (got [2, 3])"),
+    "wide.ply": (HEADER.decode().encode("utf-16"), "has no header from 'ply' to 'end_header'"),
+    "huge.ply": (ply(BINARY, 10**30, 1) + CORNERS, f"says (got {10**30}; allowed: 3 by its size)"),
+    "long.ply": (ply("ascii", 3, 10**18) + TEXT, f"says (got {10**18}; allowed: 4 by its size)"),
+    "word.ply": (HEADER + TEXT.replace(b"1", b"one"), "has a word that is no number"),
+    "kind.ply": (HEADER.replace(b"float x", b"real x") + TEXT, "got 'property real x'"),
+    "again.ply": (HEADER.replace(b"float y", b"float x") + TEXT, "got 'property float x'"),
+    "count.ply": (HEADER.replace(b"face 1", b"face 1.5") + TEXT, "got 'element face 1.5'"),
+    "plane.ply": (HEADER.replace(b"float z", b"float w") + TEXT, "no vertices of x, y and z"),
+    "list.ply": (HEADER + TEXT.replace(b"3 0 1", b"nan 0 1"), "no PLY, damaged, or cut short"),
+    "word.off": (b"OFF\nthree 1 0\n" + TEXT, "no OFF, damaged, or cut short"),
+    "cut.stl": (bytes(80) + struct.pack("<I", 9) + bytes(99), "holds no triangles"),
+}
 MALICIOUS: dict[str, bytes] = {
     "vertices.ply": ply(BINARY, MANY, 1) + CORNERS + FACE,
     "faces.ply": ply(BINARY, 3, MANY) + CORNERS + FACE,
@@ -59,6 +84,16 @@ def test_a_mesh_with_a_wrong_header_is_one_clear_error(tmp_path: Path, name: str
         load_mesh(tmp_path / name)
     assert str(caught.value).startswith(str(tmp_path / name))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_mesh_is_refused_in_words_of_ours(tmp_path: Path, name: str) -> None:
+    """Not in those of Python, NumPy or trimesh."""
+    content, said = REFUSED[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(said)) as caught:
+        load_mesh(tmp_path / name)
+    assert str(caught.value).startswith(f"{tmp_path / name}: ")
 
 
 @pytest.mark.parametrize("special", ["fifo", "device", "sparse"])

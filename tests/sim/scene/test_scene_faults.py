@@ -109,7 +109,7 @@ def texture_over_colours(folder: Path) -> str:
 @pytest.mark.parametrize(
     ("make", "key", "message"),
     [
-        (text_mesh, "target.file", "stone.ply: is not a mesh that can be read"),
+        (text_mesh, "target.file", "stone.ply: has no header from 'ply' to"),
         (empty_mesh, "target.file", "stone.stl: is an empty file"),
         (missing_mesh, "target.file", "no such file"),
         (points_only, "target.file", "stone.ply: "),

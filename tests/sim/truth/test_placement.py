@@ -127,6 +127,11 @@ def test_the_size_of_a_mesh_is_said(tmp_path: Path, caplog: pytest.LogCaptureFix
     box = trimesh.creation.box(extents=(60.0, 50.0, 12.5))
     (said,) = notes(mesh_scene(tmp_path, box), caplog)
     assert said == "note: test: target.file: stone.ply is 60 x 50 x 12.5 mm, 12 triangles"
+    double = trimesh.util.concatenate([box, box.submesh([[0, 5]], append=True)])
+    assert notes(mesh_scene(tmp_path, double), caplog) == [
+        said,
+        "note: test: target.file: stone.ply repeats triangles, which count once: 2",
+    ]
 
 
 def test_a_mesh_in_metres_is_a_speck_until_its_unit_is_said(
