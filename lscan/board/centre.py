@@ -177,9 +177,9 @@ def _windows(flat: NDArray[np.floating], base: Ints, reach: int) -> Floats:
         windows = sliding_window_view(flat, found.shape[1:])
         found[whole] = windows[low[whole, 1], low[whole, 0]]
     for cut in np.flatnonzero(~whole):  # few: a copy of the picture with a margin takes longer
-        inside = [slice(*np.clip((a, b), 0, n)) for a, b, n in zip(low[cut], high[cut], size)]
-        part = tuple(slice(s.start - a, s.stop - a) for s, a in zip(inside, low[cut]))
-        found[cut][part[::-1]] = flat[inside[1], inside[0]]
+        (left, top), (right, bottom) = np.clip([low[cut], high[cut]], 0, size)
+        u, v = low[cut]
+        found[cut, top - v : bottom - v, left - u : right - u] = flat[top:bottom, left:right]
     return found
 
 

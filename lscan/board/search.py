@@ -186,7 +186,8 @@ def spread(
         found = seen.points[accepted]
         # A row that has strayed finds the dots of another once more: each belongs to one node.
         every = cKDTree(np.vstack([part.points[part.found], found]))
-        accepted[accepted] = every.query(found, k=2)[0][:, 1] > box * pitch[todo][accepted]
+        apart = np.asarray(every.query(found, k=2)[0])[:, 1]
+        accepted[accepted] = apart > box * pitch[todo][accepted]
         part.put(np.nonzero(todo), seen, accepted)
         more = accepted.any()
 
