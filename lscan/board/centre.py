@@ -170,14 +170,17 @@ def stand_alone(
 
 def _windows(flat: NDArray[np.floating], base: Ints, reach: int) -> Floats:
     """(N, window, window) of the picture about the pixels ``base`` (N, 2), 0 beyond its edge."""
-    height, width = flat.shape
-    last = np.array([width, height]) - 1
-    if (base < reach).any() or (base > last - reach).any():
-        margin = 2 * reach + 1
-        base = np.clip(base, -reach - 1, last + reach + 1) + margin
-        flat = np.pad(flat, margin)
-    windows = sliding_window_view(flat, (2 * reach + 1, 2 * reach + 1))
-    return windows[base[:, 1] - reach, base[:, 0] - reach].astype(np.float64)
+    low, high, size = base - reach, base + reach + 1, np.array(flat.shape[::-1])
+    whole = (low >= 0).all(axis=1) & (high <= size).all(axis=1)
+    found = np.zeros((len(base), 2 * reach + 1, 2 * reach + 1))
+    if whole.any():
+        windows = sliding_window_view(flat, found.shape[1:])
+        found[whole] = windows[low[whole, 1], low[whole, 0]]
+    for cut in np.flatnonzero(~whole):  # few: a copy of the picture with a margin takes longer
+        (left, top), (right, bottom) = np.clip([low[cut], high[cut]], 0, size)
+        u, v = low[cut]
+        found[cut, top - v : bottom - v, left - u : right - u] = flat[top:bottom, left:right]
+    return found
 
 
 def _polynomial(

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, label, maximum_filter
+from scipy.ndimage import label, maximum_filter
 from scipy.spatial import cKDTree
 
 from lscan.board.picture import BoardPicture
@@ -196,7 +196,7 @@ def drop_outliers(nodes: Nodes, pitch_mm: float) -> None:
         around = maximum_filter(np.where(found, misfit, 0.0), OUTLIER_SPOILS)
         outlier = found & (misfit > limit) & (misfit >= around)
         nodes.values[outlier] = np.nan
-        doubtful = nodes.found & binary_dilation(outlier, np.ones((2 * SPREAD + 1,) * 2, bool))
+        doubtful = nodes.found & maximum_filter(outlier, 2 * SPREAD + 1)
 
 
 def drop_islands(nodes: Nodes) -> None:

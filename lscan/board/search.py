@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from lscan.board.centre import Centres, fit_centres, window_sigma
 from lscan.board.picture import BoardPicture
@@ -182,6 +183,11 @@ def spread(
         tried[todo] = expected[todo]
         beside = mean_beside(part.values[..., 2:])[todo]
         seen, accepted = seek(expected[todo], pitch[todo], beside)
+        found = seen.points[accepted]
+        # A row that has strayed finds the dots of another once more: each belongs to one node.
+        every = cKDTree(np.vstack([part.points[part.found], found]))
+        apart = np.asarray(every.query(found, k=2)[0])[:, 1]
+        accepted[accepted] = apart > box * pitch[todo][accepted]
         part.put(np.nonzero(todo), seen, accepted)
         more = accepted.any()
 
@@ -260,10 +266,12 @@ def local_pitch(points: Floats) -> Floats:
     ----------
     points : (R, C, 2) array, px, (u, v) of the nodes
     """
-    steps = [np.linalg.norm(points - moved(points, r, c), axis=-1) for r, c in NEXT]
-    across = _mean_of_known(steps[:2])
-    along = _mean_of_known(steps[2:])
-    return _mean_of_known([across, along])
+    u, v = points[..., 0], points[..., 1]
+    axes = []
+    for r, c in NEXT[::2]:
+        step = np.hypot(u - moved(u, r, c), v - moved(v, r, c))
+        axes.append(_mean_of_known([step, moved(step, -r, -c)]))
+    return _mean_of_known(axes)
 
 
 def moved(array: Floats, rows: int, columns: int) -> Floats:

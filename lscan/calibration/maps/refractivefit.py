@@ -60,15 +60,15 @@ def fit_view(
         raise BoardNotFound(f"a refractive map needs {FEWEST} control points, found {found}")
     priors = priors_of(optics, reading.image_size)
     marks = found_on([joined_marks(reading)], [0])
-    view = start
+    view, near = start, start is not None
     if view is None:
         few = _some(marks)
         view = best_start(few, priors, optics.port, reading.image_size[0])
         if view is None or not view.axes[0, :, 1] @ view.places_mm[0] > 0:
             raise BoardNotFound("the marks found are no picture of the board's front")
         if few is not marks:
-            view, _ = _settled(view, few, priors)
-    view, good = _settled(view, marks, priors)
+            view, near = _settled(view, few, priors)[0], True
+    view, good = _settled(view, marks, priors, near)
     _require_explained(view, marks, reading.pitch_mm)
     if bare:
         return CameraFit(view, np.zeros((len(view.theta), 0)), marks, good)
@@ -85,10 +85,13 @@ def _some(marks: BoardMarks) -> BoardMarks:
 
 
 def _settled(
-    view: PosedBoards, marks: BoardMarks, priors: CameraPriors
+    view: PosedBoards, marks: BoardMarks, priors: CameraPriors, near: bool = False
 ) -> tuple[PosedBoards, Mask]:
-    """The view of least squares and the mask of the marks it rests on, all but outliers."""
-    good = np.ones(len(marks.sigma_px), dtype=bool)
+    """The view of least squares and the mask of the marks it rests on, all but outliers.
+
+    One that is near the solution shows the outliers at once: the search need not follow them first.
+    """
+    good = sound_marks(marks.lengths(view)) if near else np.ones(len(marks.sigma_px), dtype=bool)
     most = MOST_EVALUATIONS if len(good) <= MANY else POLISH
     for _ in range(ROUNDS):
         view = fit_boards(view, select(marks, good), priors, TOLERANCE, most)
