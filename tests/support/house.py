@@ -50,7 +50,7 @@ def house_rows(root: Path = ROOT) -> list[HouseRow]:
     return [
         HouseRow("modules at the root of lscan", len(modules), 6, ", ".join(modules)),
         HouseRow("lines of README.md", len(readme), 150),
-        HouseRow("lines of code of lscan and sim", sum(code.values()), 54_900, str(code)),
+        HouseRow("lines of code of lscan and sim", sum(code.values()), 54_940, str(code)),
         HouseRow("lines of code of the tests", sum(map(code_lines, modules_of(root / "tests")))),
         HouseRow("class names used more than once", len(twice), 0, ", ".join(twice)),
     ]
