@@ -52,11 +52,7 @@ def read_picture(path: Path) -> Bytes:
     image = None if header is None else decode(data)
     if image is None:
         raise InputError("is not a picture that can be read", where=path, allowed=FORMATS)
-    if image.ndim == 2 or image.shape[2] == 1:
-        return image.reshape(image.shape[:2])
-    if image.shape[2] == 4:
-        image = image[..., :3]
-    return np.ascontiguousarray(image[..., ::-1])
+    return image if image.ndim == 2 else _rgb(image)
 
 
 def display_turn(path: Path) -> str:
@@ -113,7 +109,13 @@ def read_png(
     if image is None or image.shape[2:] not in ((), (3,)):
         what = "is not an 8-bit grey or RGB picture, or too large"
         raise InputError(what, where=where, allowed=f"PNG of {MOST_PX} px at most")
-    return image if image.ndim == 2 else np.ascontiguousarray(image[..., ::-1])
+    return image if image.ndim == 2 else _rgb(image)
+
+
+def _rgb(image: Bytes) -> Bytes:
+    """(H, W, 3) of what OpenCV decoded, without alpha; NumPy would take four times as long."""
+    code = cv2.COLOR_BGRA2RGB if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
+    return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)
 
 
 def too_large(header: PictureHeader) -> bool:
