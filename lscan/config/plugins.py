@@ -20,7 +20,7 @@ _KINDS = {
     "pytest11": "plug-in of pytest",
 }
 _OURS = "lscan"
-_NOT_OTHERS = (Path(__file__).parents[1], Path(importlib.__file__).parent)
+_HERE, _PYTHON = Path(__file__).parents[1], Path(importlib.__file__).parents[1]
 
 
 @cache
@@ -194,14 +194,15 @@ def frames_of_others(error: BaseException) -> Sequence[traceback.FrameSummary]:
     error : as it was caught
     """
     frames = traceback.extract_tb(error.__traceback__)
-    return [
-        frame
-        for frame in frames
-        if not frame.filename.startswith("<")
-        # Where that package has been imported, its entry points take the place of Python's own.
-        and Path(frame.filename).parent.name != "importlib_metadata"
-        and not any(Path(frame.filename).is_relative_to(folder) for folder in _NOT_OTHERS)
-    ]
+    return [frame for frame in frames if _is_of_others(Path(frame.filename))]
+
+
+def _is_of_others(file: Path) -> bool:
+    """Whether a file is neither lscan's nor Python's own; of "<frozen ...>" there is none."""
+    is_python = file.is_relative_to(_PYTHON) and "site-packages" not in file.parts
+    # Where that package has been imported, its entry points take the place of Python's own.
+    is_finder = file.parent.name == "importlib_metadata"
+    return not (is_python or is_finder or file.is_relative_to(_HERE) or str(file).startswith("<"))
 
 
 def others_versions(group: str, name: str) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Drivers, extractors and plane maps by name: found, or refused by file, key and choice."""
 
 import sys
+from functools import singledispatch
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,6 +20,7 @@ from lscan.benchmark.suiterun import run_suite
 from lscan.config.plugins import (
     find_plugin,
     find_plugin_or_function,
+    frames_of_others,
     installed,
     others_versions,
     with_package,
@@ -244,3 +246,15 @@ def test_a_report_names_the_packages_of_others(
     found = chain_versions(experiment)  # type: ignore[arg-type]
     assert (found["theirs"], found["bends"]) == ("2.0", "2.0")
     assert found.keys() == {"lscan", "python", "numpy", "opencv", "theirs", "bends"}
+
+
+def test_the_frames_of_an_error_leave_out_python_s_own_files() -> None:
+    """Python 3.13 finds resources by such a dispatch; the user's file is the one to look into."""
+
+    @singledispatch
+    def raising(_: object) -> None:
+        raise ValueError
+
+    with pytest.raises(ValueError) as raised:
+        raising(0)
+    assert [frame.filename for frame in frames_of_others(raised.value)] == [__file__] * 2
