@@ -33,9 +33,7 @@ from lscan.config.rig import Plan, Rig
 from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import LASER_MAY_BE_LIT
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import list_names, read_bytes, require_within
-from lscan.files.jsontext import read_json
-from lscan.files.longwork import long_work
+from lscan.files.disk import list_names, long_work, read_bytes, read_json, require_within
 from lscan.files.pictures import read_png
 from lscan.records import Bytes, Floats, Frame
 from lscan.version import __version__

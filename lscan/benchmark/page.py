@@ -13,8 +13,7 @@ from lscan.benchmark.limits import failed_of_extractor, failed_of_map
 from lscan.benchmark.maps import MapRow
 from lscan.benchmark.pictures import LineCase
 from lscan.figures import style
-from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsontext import write_json
+from lscan.files.disk import make_folder, write_atomically, write_json
 
 AnyRow = TypeVar("AnyRow", ExtractorRow, MapRow)
 

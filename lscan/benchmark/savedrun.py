@@ -11,8 +11,7 @@ from lscan.benchmark.suiterun import SuiteRun, suite_rows
 from lscan.benchmark.worst import draw_worst
 from lscan.config.plugins import others_versions
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsontext import read_json, write_json
+from lscan.files.disk import make_folder, read_json, write_atomically, write_json
 
 VERSION = 1
 MOST_SAVED_BYTES = 2**28

@@ -27,8 +27,7 @@ from lscan.calibration.stored import STRICT, Gaps, Matrix, NotNegativeOrNaN, Num
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
-from lscan.files.disk import write_atomically
-from lscan.files.jsontext import read_json
+from lscan.files.disk import read_json, write_atomically
 from lscan.records import BoardReading, Floats, Ints, Mark, Marks, RingPoints, RulerReading, Status
 
 FORMAT: Final = "lscan-calibration"

@@ -8,7 +8,7 @@ from lscan.calibration.multiview.file import CAMERA_FORMAT, FORMAT, metric_of, s
 from lscan.calibration.multiview.solve import MetricCalibration
 from lscan.calibration.solve import Calibration
 from lscan.errors import InputError
-from lscan.files.jsontext import read_json
+from lscan.files.disk import read_json
 
 AnyCalibration = Calibration | MetricCalibration
 

@@ -42,7 +42,7 @@ def compare(
     json: Json = False,
 ) -> None:
     """Compare a surface with a mesh: the signed distances of its points."""
-    from lscan.files.jsontext import write_json
+    from lscan.files.disk import write_json
     from lscan.files.meshes import MM_PER_UNIT, TWICE, load_mesh
     from lscan.measure.meshcompare import (
         MeshPose,

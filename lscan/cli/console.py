@@ -18,8 +18,7 @@ from typer.core import TyperGroup
 from lscan.cli.memory import keep_freed_memory
 from lscan.devices.signals import ignore_stop_signals, interrupted_by_signals, on_stop_signals
 from lscan.errors import LscanError, Stopped, missing_package
-from lscan.files.jsontext import json_text
-from lscan.files.longwork import long_work_shown
+from lscan.files.disk import json_text, long_work_shown
 from lscan.records import Progress
 from lscan.version import __version__
 

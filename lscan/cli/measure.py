@@ -131,7 +131,7 @@ def measure(
     json: Json = False,
 ) -> None:
     """Measure a run's board or workpiece against its nominal shape, or shapes on any surface."""
-    from lscan.files.jsontext import write_json
+    from lscan.files.disk import write_json
 
     require_folders(output)
     if shapes is None:

@@ -25,8 +25,7 @@ from pydantic_core import CoreSchema, ErrorDetails
 from lscan.config.allowed import Keys, in_words, names, tags_in_words, trace
 from lscan.config.scenes import included_file, scene_file
 from lscan.errors import InputError
-from lscan.files.disk import content_sha256, read_text
-from lscan.files.jsontext import MOST_LEVELS, TOO_DEEP, check_values, dotted
+from lscan.files.disk import MOST_LEVELS, TOO_DEEP, check_values, content_sha256, dotted, read_text
 
 Document = dict[str, Any]
 Model = TypeVar("Model", bound=BaseModel)

@@ -20,14 +20,14 @@ from lscan.files.disk import (
     MOST_TEXT_BYTES,
     list_names,
     open_regular,
+    parse_json,
     read_bytes,
+    read_json,
     reading_errors,
     require_within,
 )
-from lscan.files.headers import read_header
-from lscan.files.jsontext import parse_json, read_json
-from lscan.files.pictures import MOST_BYTES, MOST_PX, read_png
-from lscan.records import Bytes, Status
+from lscan.files.pictures import MOST_BYTES, MOST_PX, read_header, read_png
+from lscan.records import Bytes, Mask, Status
 
 MANIFEST = "manifest.json"
 VERSION = 1
@@ -306,3 +306,35 @@ def _in_hdf5(file: h5py.File, path: Path, key: str, name: str, most: int) -> byt
 def _places(path: Path, _mtime_ns: int, _size: int) -> dict[str, Place]:
     """Where the members of a tar file, as it is at that time, begin and how long they are."""
     return tar_places(path, MOST_MEMBER_BYTES)
+
+
+# Masks as run lengths, as the data set COCO has them.
+#
+# References
+# ----------
+# Lin et al., Microsoft COCO: Common Objects in Context, ECCV 2014; its uncompressed run lengths.
+
+
+def run_lengths(mask: Mask) -> dict[str, Any]:
+    """The mask as COCO's uncompressed run lengths, of JSON types.
+
+    Parameters
+    ----------
+    mask : (H, W) array of bool
+
+    Returns
+    -------
+    mapping
+        "size", [H, W]; "counts", pixels column by column: how many are outside, how many of the
+        next inside, and so on; the first is 0 where the mask begins inside.
+
+    Examples
+    --------
+    >>> run_lengths(np.array([[False, True], [True, True]]))
+    {'size': [2, 2], 'counts': [1, 3]}
+    """
+    flat = np.asarray(mask, dtype=bool).ravel(order="F")
+    turns = np.flatnonzero(np.diff(flat)) + 1
+    begin = [0, 0] if flat[:1].any() else [0]
+    counts = np.diff(np.concatenate([begin, turns, [flat.size]]).astype(int))
+    return {"size": list(mask.shape), "counts": counts.tolist()}

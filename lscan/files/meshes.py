@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes
-from lscan.files.polygonfiles import read_obj, read_off, read_ply
-from lscan.files.polygons import PolygonMesh, triangles_of
+from lscan.files.polygonfiles import PolygonMesh, read_obj, read_off, read_ply, triangles_of
 from lscan.records import Floats, Ints
 
 MOST_BYTES = {"ply": 2**28, "stl": 2**28, "obj": 2**26, "off": 2**26}

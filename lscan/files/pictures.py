@@ -4,9 +4,11 @@ All that decodes a stranger's picture does it here, once its header says that it
 """
 
 import io
-from collections.abc import Sequence
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -14,8 +16,173 @@ from PIL import ExifTags, Image
 
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes, write_atomically
-from lscan.files.headers import PictureHeader, read_header
 from lscan.records import Bytes
+
+# How large the picture in a file is, read from its header before anything is decoded.
+#
+# A file of a megabyte may decode to gigabytes.  The formats are those that pictures are read in;
+# what is none of them, or whose header does not say its size, is no picture.
+#
+# References
+# ----------
+# PNG: ISO/IEC 15948, 11.2.2.  JPEG: ISO/IEC 10918-1, annex B.  BMP: Microsoft, BITMAPINFOHEADER.
+# TIFF: Adobe, revision 6.0, and Adobe Photoshop TIFF Technical Notes for BigTIFF.  WebP: RFC 9649.
+
+
+Format = Literal["PNG", "JPEG", "BMP", "TIFF", "WebP"]
+
+
+@dataclass(frozen=True)
+class PictureHeader:
+    """What a picture's file says of itself.
+
+    width_px, height_px: of a TIFF of tiles, or of the tile where it is larger, since the whole
+    tile is decoded.  depth_bits: of a channel of a pixel; 8 where it is fewer.
+    """
+
+    format: Format
+    width_px: int
+    height_px: int
+    depth_bits: int = 8
+
+
+def read_header(data: bytes) -> PictureHeader | None:
+    """The header of a picture's file; None where it is of no known format or cut short.
+
+    Parameters
+    ----------
+    data
+        The whole file: where a JPEG or TIFF file says its size differs.
+
+    Returns
+    -------
+    PictureHeader or None
+        Its width and height are above 0.
+    """
+    readers = (reader for start, reader in _READERS.items() if data.startswith(start))
+    try:
+        header = next((reader(data) for reader in readers), None)
+    except (struct.error, IndexError):
+        return None
+    return header if header and header.width_px > 0 and header.height_px > 0 else None
+
+
+def _png(data: bytes) -> PictureHeader | None:
+    if data[12:16] != b"IHDR" or not _whole(data):
+        return None
+    width, height, depth = struct.unpack_from(">IIB", data, 16)
+    return PictureHeader("PNG", width, height, max(8, depth))
+
+
+def _whole(data: bytes) -> bool:
+    """Whether all chunks of a PNG file are there, pixels among them, to an empty last one.
+
+    A decoder takes memory for as long a chunk as the file states.
+    """
+    place, pixels = 8, False
+    while place + 12 <= len(data):
+        length, name = struct.unpack_from(">I", data, place)[0], data[place + 4 : place + 8]
+        place += 12 + length
+        if name == b"IEND":
+            return pixels and length == 0
+        pixels |= name == b"IDAT"
+    return False
+
+
+_LONE_MARKERS = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})  # no segment follows
+_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF0 to SOF15
+_PIXELS_OR_END = (0xDA, 0xD9)  # SOS, EOI
+
+
+def _jpeg(data: bytes) -> PictureHeader | None:
+    place = 2
+    while True:
+        place = data.find(b"\xff", place)  # decoders pass over what is no marker
+        if place < 0:
+            return None
+        while data[place] == 0xFF:
+            place += 1
+        marker, place = data[place], place + 1
+        if marker in _PIXELS_OR_END:
+            return None
+        if marker in _FRAMES:
+            depth, height, width = struct.unpack_from(">BHH", data, place + 2)
+            return PictureHeader("JPEG", width, height, depth)
+        if marker not in _LONE_MARKERS:
+            place += struct.unpack_from(">H", data, place)[0]
+
+
+def _bmp(data: bytes) -> PictureHeader | None:
+    (size,) = struct.unpack_from("<I", data, 14)
+    width, height = struct.unpack_from("<HH" if size == 12 else "<ii", data, 18)
+    return PictureHeader("BMP", abs(width), abs(height))
+
+
+def _webp(data: bytes) -> PictureHeader | None:
+    kind = data[12:16]
+    if data[8:12] != b"WEBP" or len(data) < 30:
+        return None
+    if kind == b"VP8X":
+        sides = (int.from_bytes(data[place : place + 3], "little") + 1 for place in (24, 27))
+    elif kind == b"VP8L":
+        (bits,) = struct.unpack_from("<I", data, 21)
+        sides = ((bits >> shift & 0x3FFF) + 1 for shift in (0, 14))
+    elif kind == b"VP8 ":
+        sides = (side & 0x3FFF for side in struct.unpack_from("<HH", data, 26))
+    else:
+        return None
+    return PictureHeader("WebP", *sides)
+
+
+_WIDTHS, _HEIGHTS = (256, 322), (257, 323)  # ImageWidth, TileWidth; ImageLength, TileLength
+_BITS, _CHANNELS = 258, 277  # BitsPerSample, SamplesPerPixel
+_TIFF_INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}  # BYTE, SHORT, LONG, LONG8
+_MOST_CHANNELS = 4
+
+
+def _tiff(data: bytes) -> PictureHeader | None:
+    order = "<" if data[:2] == b"II" else ">"
+    big = struct.unpack_from(f"{order}H", data, 2)[0] == 43
+    (place,) = struct.unpack_from(f"{order}{'Q' if big else 'I'}", data, 8 if big else 4)
+    (entries,) = struct.unpack_from(f"{order}{'Q' if big else 'H'}", data, place)
+    place += 8 if big else 2
+    wanted: dict[int, int] = {}
+    for _ in range(entries):
+        tag, kind, count = struct.unpack_from(f"{order}HH{'Q' if big else 'I'}", data, place)
+        if tag in (*_WIDTHS, *_HEIGHTS, _BITS, _CHANNELS):
+            value = _largest(data, order, kind, count, place + (12 if big else 8), big)
+            wanted[tag] = max(value, wanted.get(tag, 0))
+        place += 20 if big else 12
+    if 256 not in wanted or 257 not in wanted or wanted.get(_CHANNELS, 1) > _MOST_CHANNELS:
+        return None
+    width, height = (max(wanted.get(tag, 0) for tag in tags) for tags in (_WIDTHS, _HEIGHTS))
+    return PictureHeader("TIFF", width, height, max(8, wanted.get(_BITS, 1)))
+
+
+def _largest(data: bytes, order: str, kind: int, count: int, place: int, big: bool) -> int:
+    """The largest of an entry's numbers, which stand at ``place`` or where it points to."""
+    if kind not in _TIFF_INTEGERS or not 1 <= count <= _MOST_CHANNELS:
+        raise struct.error("not a few whole numbers")
+    numbers = f"{order}{count}{_TIFF_INTEGERS[kind]}"
+    if struct.calcsize(numbers) > (8 if big else 4):
+        (place,) = struct.unpack_from(f"{order}{'Q' if big else 'I'}", data, place)
+    return max(struct.unpack_from(numbers, data, place))
+
+
+_READERS: dict[bytes, Callable[[Any], PictureHeader | None]] = {
+    b"\x89PNG\r\n\x1a\n": _png,
+    b"\xff\xd8\xff": _jpeg,
+    b"BM": _bmp,
+    b"II\x2a\0": _tiff,
+    b"MM\0\x2a": _tiff,
+    b"II\x2b\0": _tiff,
+    b"MM\0\x2b": _tiff,
+    b"RIFF": _webp,
+}
+
+
+# Picture files: read strictly, written whole or not at all; colour is RGB everywhere else.
+
 
 FORMATS = "PNG, JPEG, BMP, TIFF or WebP, 8 bit"
 MOST_PX = 2**25

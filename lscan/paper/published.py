@@ -9,7 +9,7 @@ another.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 
 CHOSEN_MAP = "graticule-2"
 """The paper's choice after Tables I and II: second-order rms."""

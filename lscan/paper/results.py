@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from lscan.calibration.file import save_calibration
-from lscan.files.disk import make_folder
-from lscan.files.jsontext import write_json
+from lscan.files.disk import make_folder, write_json
 from lscan.measurement import lengths_json
 from lscan.paper.experiment import Experiment
 from lscan.paper.provenance import chain_versions

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lscan.figures.reportfigure import signed
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
 from lscan.measurement import BoardMeasures
 from lscan.paper.experiment import Experiment

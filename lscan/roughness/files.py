@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from lscan.errors import MeasurementError
+from lscan.files.containers import NetcdfArray, netcdf_bytes
 from lscan.files.disk import write_atomically
-from lscan.files.netcdf import NetcdfArray, netcdf_bytes
 from lscan.records import Floats
 from lscan.roughness.analysis import Roughness
 from lscan.roughness.moments import structure_function

@@ -18,7 +18,7 @@ from lscan.config.documents import Model, Strict, check
 from lscan.config.plugins import refuse_code
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.files.jsontext import parse_json
+from lscan.files.disk import parse_json
 from lscan.files.pictures import encoded
 from lscan.records import Bytes, Floats, Ints, Status
 from lscan.suites.layers import LightLayers, layers_picture

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from lscan.config.documents import check
 from lscan.errors import InputError
+from lscan.files.containers import NetcdfArray, netcdf_bytes
 from lscan.files.disk import write_atomically
-from lscan.files.netcdf import NetcdfArray, netcdf_bytes
 from lscan.records import Floats, Mask, Provenance, Status, Surface, has_value
 from lscan.surface.netcdf import DIMENSIONS, MOST_MODE_NUMBERS, MOST_POINTS, PROVENANCE, read_arrays
 from lscan.surface.provenance import StoredProvenance

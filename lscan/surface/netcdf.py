@@ -16,9 +16,16 @@ import h5py
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.containers import hdf5_array, open_hdf5
+from lscan.files.containers import (
+    PACKING,
+    NetcdfArray,
+    as_text,
+    hdf5_array,
+    in_mm,
+    open_hdf5,
+    unpacked,
+)
 from lscan.files.disk import open_regular, read_bytes
-from lscan.files.netcdf import PACKING, NetcdfArray, as_text, in_mm, unpacked
 from lscan.records import Floats, Status
 
 DIMENSIONS = ("frame", "column")

@@ -6,7 +6,7 @@ respect to pressure (IAPWS R7-97, equation 7 and table 2; its terms without pres
 
 import numpy as np
 
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.water.limits import require
 
 ATMOSPHERE_MPA = 0.101325

@@ -17,12 +17,13 @@ from lscan.files.datasets import MANIFEST, MOST_PICTURES, VERSION
 from lscan.files.disk import (
     list_names,
     lock_folder,
+    long_work,
     make_folder,
+    read_json,
     remove_temporaries,
     write_atomically,
+    write_json,
 )
-from lscan.files.jsontext import read_json, write_json
-from lscan.files.longwork import long_work
 from lscan.records import Progress
 from lscan.version import __version__
 from sim.datasets.datasetshards import (

@@ -6,7 +6,7 @@ import os
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.longwork import long_work
+from lscan.files.disk import long_work
 from lscan.records import Floats, Progress
 from sim.render.photons import batches, first_crossings, plane_crossings
 from sim.water import Optics
@@ -50,7 +50,7 @@ PHOTONS = photons_asked_for()
 def spread_of(water: Optics, photons: int = PHOTONS, seed: int = SEED) -> Spread:
     """How a beam spreads in a water: from the user's cache, or made and kept there.
 
-    A command line shows how far the making is (``lscan.files.longwork``).
+    A command line shows how far the making is (``lscan.files.disk``).
 
     Parameters
     ----------

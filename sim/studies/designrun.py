@@ -11,8 +11,7 @@ import numpy as np
 from lscan.config.documents import Document, by_content, named_files
 from lscan.config.scenes import included_file
 from lscan.errors import LscanError
-from lscan.files.disk import make_folder
-from lscan.files.jsontext import json_text
+from lscan.files.disk import json_text, make_folder
 from sim.studies.catalogue import load_catalogue
 from sim.studies.designerror import PredictedError, above_bounds, design_rows, height_squares
 from sim.studies.designsearch import (

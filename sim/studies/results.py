@@ -9,9 +9,8 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, read_text, write_atomically
-from lscan.files.jsontext import write_json
-from lscan.files.netcdf import NetcdfArray, netcdf_bytes
+from lscan.files.containers import NetcdfArray, netcdf_bytes
+from lscan.files.disk import make_folder, read_text, write_atomically, write_json
 from lscan.version import __version__
 from sim.studies.page import render_page
 from sim.studies.problem import columns

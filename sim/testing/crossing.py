@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from lscan.config.documents import Document, merge
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 
 
 @dataclass(frozen=True)

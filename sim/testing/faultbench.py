@@ -15,7 +15,7 @@ from lscan.config.rigfile import RigFile, parse_rig
 from lscan.devices.api import Camera, Grab, Track
 from lscan.devices.grbl import SerialTrack, track_driver as serial_driver
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from sim.testing.faults import KINDS, InjectedFault
 from sim.testing.faultycamera import FaultyCamera
 from sim.testing.faultydisk import FaultyDisk

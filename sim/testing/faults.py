@@ -7,7 +7,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from sim.testing.faultycamera import GARBAGE
 from sim.testing.faultydisk import CALLS_A_FRAME
 

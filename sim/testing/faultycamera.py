@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from lscan.devices.opencv_camera import OpencvOptions
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.records import Bytes
 from sim.testing.marks import ExposureMark, draw_mark
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 
 WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 CALLS_A_FRAME = 8

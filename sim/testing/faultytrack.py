@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, SimulatedTime
 
 ZERO_MM: float = packaged_table("sim.testing", "bench.toml")["track"]["options"]["zero_mm"]

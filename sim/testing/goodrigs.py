@@ -20,7 +20,7 @@ from lscan.config.rigfile import parse_rig
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera import OpencvOptions
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.records import Frame
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections

@@ -9,9 +9,7 @@ from typing import Any
 
 from lscan.errors import LscanError
 from lscan.figures.reportfigure import ReportFigure
-from lscan.files.disk import make_folder
-from lscan.files.jsontext import write_json
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import make_folder, packaged_table, write_json
 
 
 @dataclass(frozen=True)

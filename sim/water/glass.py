@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import sqrt
 
 from lscan.errors import InputError
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.water.limits import Limits, require
 
 INDEX = (1.0, 2.5)  # what a scene file may name as a number

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.water.index import SALINITY_PSU, TEMPERATURE_C
 from lscan.water.limits import require
 from sim.scene.matter import Water

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.records import Floats
 
 TABLE_DEG, TABLE_PER_SR = np.array(packaged_table("sim.water", "tables.toml")["petzold"]).T

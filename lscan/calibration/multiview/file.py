@@ -26,7 +26,7 @@ from lscan.camera.parameters import CAMERA, COUNT
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
-from lscan.files.jsontext import read_json
+from lscan.files.disk import read_json
 from lscan.records import Axis
 
 FORMAT: Final = "lscan-metric-calibration"

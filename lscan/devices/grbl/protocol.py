@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 
 STATES: Final = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
 AXES: Final = "XYZ"

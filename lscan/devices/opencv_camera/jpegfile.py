@@ -19,8 +19,7 @@ import numpy as np
 from PIL import Image
 
 from lscan.errors import DeviceError
-from lscan.files.headers import read_header
-from lscan.files.pictures import MOST_PX, decode, too_large
+from lscan.files.pictures import MOST_PX, decode, read_header, too_large
 from lscan.records import Bytes
 
 BEGIN, END = b"\xff\xd8", b"\xff\xd9"  # SOI and EOI, table B.1

@@ -4,7 +4,7 @@ from matplotlib.figure import Figure
 
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.records import Bytes
 
 _TABLE = packaged_table("lscan.paper.figures", "figures.toml")

@@ -21,7 +21,7 @@ from lscan.calibration.stored import Matrix, Place, Vector, check_covariance, of
 from lscan.config.documents import Strict, check
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError
-from lscan.files.jsontext import read_json, write_json
+from lscan.files.disk import read_json, write_json
 from lscan.records import Floats, Provenance, Surface
 from lscan.surface.align.alignment import Alignment
 from lscan.surface.align.datum import PARAMETERS, YAW

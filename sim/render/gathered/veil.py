@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.files.longwork import long_work
+from lscan.files.disk import long_work
 from lscan.records import Floats, Ints, Mask
 from sim.render.gathered.chart import nearest_point
 from sim.render.gathered.smooth import smoothed

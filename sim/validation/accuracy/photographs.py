@@ -17,7 +17,7 @@ from lscan.calibration.maps.polynomial import terms
 from lscan.calibration.maps.scaling import box
 from lscan.config.board import Board, Grid
 from lscan.config.rig import LineChannel, StripeSection
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.files.pictures import read_picture
 from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
 from lscan.stripe import extract_stripe

@@ -9,7 +9,7 @@ import numpy as np
 from lscan.config.documents import Document, merge
 from lscan.config.rigfile import parse_rig
 from lscan.errors import InputError
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.camera import RefractiveCamera

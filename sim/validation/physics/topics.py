@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from lscan.figures import style
 from lscan.figures.reportfigure import ReportFigure
-from lscan.files.packaged import packaged_table
+from lscan.files.disk import packaged_table
 from sim.validation.rows import Row, Topic
 
 

@@ -27,7 +27,7 @@ from lscan.benchmark.judging import judge_case, normal_score
 from lscan.benchmark.savedrun import compare_saved, saved_run, write_suite_run
 from lscan.benchmark.suiterun import run_suite, suite_rows
 from lscan.errors import InputError
-from lscan.files.jsontext import write_json
+from lscan.files.disk import write_json
 from lscan.records import Status, has_value
 from lscan.stripe import find_extractor
 from sim.validation.regression.drawnsums import drawn_sums

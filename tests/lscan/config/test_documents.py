@@ -22,7 +22,7 @@ from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection
 from lscan.config.rigfile import load_rig
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from lscan.files.jsontext import read_json
+from lscan.files.disk import read_json
 
 TABLES = st.recursive(
     st.integers() | st.text(max_size=3),

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from lscan.errors import InputError
-from lscan.files.datasets import PictureDataset
-from lscan.files.runlengths import run_lengths
+from lscan.files.datasets import PictureDataset, run_lengths
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.95, 1.0])

@@ -10,7 +10,7 @@ import trimesh
 
 from lscan.errors import InputError
 from lscan.files.meshes import TWICE, UNREAD, load_mesh
-from lscan.files.polygons import PolygonMesh, triangles_of
+from lscan.files.polygonfiles import PolygonMesh, triangles_of
 from lscan.records import Floats, Ints
 
 U = [(0, 0), (60, 0), (60, 40), (50, 40), (50, 10), (10, 10), (10, 40), (0, 40)]

@@ -15,8 +15,7 @@ from png_files import HUGE, chunk, grey_png
 from lscan.devices.opencv_camera.jpegstream import decoded
 from lscan.errors import DeviceError, InputError
 from lscan.files import pictures
-from lscan.files.headers import PictureHeader, read_header
-from lscan.files.pictures import MOST_PX, read_picture, write_picture
+from lscan.files.pictures import MOST_PX, PictureHeader, read_header, read_picture, write_picture
 
 ENDINGS = {".png": "PNG", ".jpg": "JPEG", ".bmp": "BMP", ".tif": "TIFF", ".webp": "WebP"}
 

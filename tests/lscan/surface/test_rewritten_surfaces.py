@@ -15,7 +15,7 @@ import xarray as xr
 from netcdf_forms import stumbling_blocks
 
 from lscan.errors import InputError
-from lscan.files.netcdf import NetcdfArray, unpacked
+from lscan.files.containers import NetcdfArray, unpacked
 from lscan.records import Provenance, Status, Surface
 from lscan.surface import load_surface, save_surface
 from lscan.surface.files import require_storable

@@ -23,8 +23,7 @@ from typer.testing import CliRunner
 from lscan.config.documents import merge
 from lscan.config.toml import write_toml
 from lscan.errors import InputError
-from lscan.files.datasets import MEMBERS, MOST_PICTURES, PictureDataset
-from lscan.files.runlengths import run_lengths
+from lscan.files.datasets import MEMBERS, MOST_PICTURES, PictureDataset, run_lengths
 from lscan.records import Status
 from sim.cli.app import app
 from sim.datasets import dataset as making, datasetshards

@@ -9,7 +9,7 @@ import pytest
 from shown_work import ShownWork
 
 from lscan.errors import InputError
-from lscan.files.longwork import long_work_shown
+from lscan.files.disk import long_work_shown
 from sim.render import photons, spreads
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.spread import SpreadLookup

@@ -15,8 +15,7 @@ import pytest
 from shown_work import ShownWork
 
 from lscan.errors import DiskError
-from lscan.files.disk import cache_folder, read_cached
-from lscan.files.longwork import long_work_shown
+from lscan.files.disk import cache_folder, long_work_shown, read_cached
 from lscan.records import Floats
 from lscan.suites.find import suite_cache
 from sim.water import tablecache
