@@ -13,9 +13,9 @@ from lscan.calibration.file import (
 )
 from lscan.calibration.loading import load_plane_map as load_plane_map
 from lscan.calibration.solve import Calibration as Calibration, calibrate as calibrate
-from lscan.config.rig import StripeSection as StripeSection
-from lscan.config.rigfile import (
+from lscan.config.rig import (
     RigFile as RigFile,
+    StripeSection as StripeSection,
     load_rig as load_rig,
 )
 from lscan.devices.api import (

@@ -15,8 +15,7 @@ from lscan.calibration.api import PlaneMap
 from lscan.calibration.carry import carried
 from lscan.calibration.solve import Calibration, calibrate
 from lscan.config.board import Board
-from lscan.config.rig import CameraSection, Rig
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import CameraSection, Rig, RigFile
 from lscan.config.targets import Sandwave
 from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Bytes, Floats, Profile, Progress, Surface

@@ -13,8 +13,7 @@ from lscan.acquisition.run import MANIFEST, Run
 from lscan.acquisition.scan import scan
 from lscan.cli.console import progress_bar
 from lscan.config.documents import merge
-from lscan.config.rig import Rig, StripeSection
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import Rig, RigFile, StripeSection, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
 from lscan.measure import compare_slice

@@ -19,8 +19,7 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.acquisition.samerig import require_same_files
 from lscan.config.documents import Strict, check, named_files
-from lscan.config.rig import Plan
-from lscan.config.rigfile import RigFile, load_rig
+from lscan.config.rig import Plan, RigFile, load_rig
 from lscan.devices.api import Fact, Grab, Track
 from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError

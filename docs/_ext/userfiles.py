@@ -9,7 +9,7 @@ from lscan.acquisition.replay import ReplayOptions
 from lscan.calibration.multiview.viewsfile import ViewsDocument
 from lscan.config.board import Board
 from lscan.config.rig import Rig
-from lscan.config.shapes import ShapesDocument
+from lscan.config.targets import ShapesDocument
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions

@@ -29,8 +29,7 @@ from pydantic import Field, FiniteFloat, TypeAdapter
 
 from lscan.config.documents import Document, Strict, check
 from lscan.config.plugins import others_versions, refuse_code
-from lscan.config.rig import Plan, Rig
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import Plan, Rig, RigFile, parse_rig
 from lscan.devices.api import LASER_MAY_BE_LIT
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import list_names, long_work, read_bytes, read_json, require_within

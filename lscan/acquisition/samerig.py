@@ -11,7 +11,7 @@ from typing import Any
 
 from lscan.config.documents import Document
 from lscan.config.plugins import find_plugin, installed
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.devices.api import Camera, Identified
 from lscan.errors import DeviceError, InputError
 from lscan.files.disk import content_sha256

@@ -12,8 +12,7 @@ import numpy as np
 
 from lscan.acquisition.run import Run, laser_warning_repeated, open_run
 from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
-from lscan.config.rig import CameraSection
-from lscan.config.rigfile import RigFile, drivers_of
+from lscan.config.rig import CameraSection, RigFile, drivers_of
 from lscan.devices.api import (
     LASER_MAY_BE_LIT,
     Camera,

@@ -33,7 +33,7 @@ from lscan.acquisition.run import (
 )
 from lscan.acquisition.samerig import require_same_camera, require_same_files, require_same_rig
 from lscan.config.documents import named_files
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.devices.api import Camera, Identified
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import (

@@ -18,7 +18,7 @@ def draw_board(
     from lscan.board.plate import board_svg
     from lscan.config.board import Board
     from lscan.config.documents import check, read_document
-    from lscan.config.rigfile import inline_board
+    from lscan.config.rig import inline_board
     from lscan.files.disk import write_atomically
 
     require_folders(output)

@@ -13,7 +13,7 @@ from lscan.cli.arguments import Json
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from lscan.config.rigfile import RigFile
+    from lscan.config.rig import RigFile
     from lscan.devices.api import Camera, Fact
     from lscan.devices.trials.camera import CameraTrial
     from lscan.devices.trials.photontransfer import PhotonTransfer
@@ -44,7 +44,7 @@ def devices(
     track's way clear by 2 mm, all of it where the track homes when it is opened.  The laser is
     switched on and off if the plan switches it.
     """
-    from lscan.config.rigfile import load_rig
+    from lscan.config.rig import load_rig
     from lscan.errors import InputError
 
     rig_file = None if rig is None else load_rig(rig)

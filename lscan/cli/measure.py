@@ -176,7 +176,7 @@ def _measured_shapes(
 ) -> tuple[Surface, list[ShapeMeasure]]:
     """The surface of a file or of a run, and what the shapes file asks for of it."""
     from lscan.cli.inputs import open_calibrated
-    from lscan.config.shapes import load_shapes
+    from lscan.config.targets import load_shapes
     from lscan.measure.shapemeasures import measure_shapes
     from lscan.surface import load_surface
 

@@ -82,7 +82,7 @@ def roughness(
     json: Json = False,
 ) -> None:
     """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
-    from lscan.config.rigfile import load_rig
+    from lscan.config.rig import load_rig
     from lscan.roughness import MM_PER_CM, response_of, roughness_of, sediment
     from lscan.roughness.files import save_roughness
     from lscan.surface import load_surface

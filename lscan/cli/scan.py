@@ -25,7 +25,7 @@ def scan(
     """Move the track, take the pictures, write a run folder."""
     from lscan.acquisition.scan import scan as acquire
     from lscan.acquisition.writer import holds_no_run
-    from lscan.config.rigfile import load_rig
+    from lscan.config.rig import load_rig
     from lscan.errors import InputError
 
     if position_restored and not resume:

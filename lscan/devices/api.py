@@ -7,7 +7,7 @@ A driver is an object registered under the entry-point group ``lscan.cameras`` o
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.records import Bytes
 
 LASER_MAY_BE_LIT = "the laser may still be lit: switch it off at its supply"

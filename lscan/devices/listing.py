@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 
 from lscan.config.plugins import find_entry, find_plugin, installed
-from lscan.config.rigfile import RigFile, drivers_of
+from lscan.config.rig import RigFile, drivers_of
 from lscan.devices.api import CapabilityReporting, Fact
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
 from lscan.devices.opencv_camera.identity import ROOT, names_by_id

@@ -5,7 +5,7 @@ from typing import Generic, Self, TypeVar
 from pydantic import model_validator
 
 from lscan.config.documents import Strict, check
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.errors import DeviceError, InputError
 
 

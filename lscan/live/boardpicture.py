@@ -13,8 +13,7 @@ from lscan.calibration.api import PlaneMap
 from lscan.calibration.carry import carried
 from lscan.calibration.file import save_calibration
 from lscan.calibration.solve import calibrate
-from lscan.config.rig import Plan
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import Plan, RigFile, parse_rig
 from lscan.devices.api import Limited, Track
 from lscan.errors import DeviceError
 from lscan.live.devices import LiveDevices

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 
 from lscan.acquisition.scan import open_camera, open_track
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.devices.api import (
     LASER_MAY_BE_LIT,
     Camera,

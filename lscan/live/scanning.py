@@ -12,7 +12,7 @@ from lscan.acquisition.run import MANIFEST, TABLE, most_table_bytes, read_manife
 from lscan.acquisition.samerig import require_same_rig
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import RunWriter, create_run, resume_run
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.files.disk import read_bytes
 from lscan.live.devices import LiveDevices

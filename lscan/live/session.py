@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lscan.acquisition.run import laser_warning_repeated
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.devices.api import Grab
 from lscan.live.analysis import Figures, measure_line, measure_picture
 from lscan.live.boardpicture import LiveCalibration, take_board

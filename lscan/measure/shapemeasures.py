@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lscan.config.shapes import HeightShape, ShapesDocument, SurfaceBox
+from lscan.config.targets import HeightShape, ShapesDocument, SurfaceBox
 from lscan.errors import MeasurementError
 from lscan.measure.shapefit import MeasuredPoints, ShapeFit, fit_shape, measured_points
 from lscan.measure.shapes import CylinderShape, MeasuredShape, ParallelPlanes, SphereShape
@@ -76,7 +76,7 @@ def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasur
     Examples
     --------
     >>> import lscan
-    >>> from lscan.config.shapes import ShapesDocument
+    >>> from lscan.config.targets import ShapesDocument
     >>> surface = lscan.load_surface("surface.nc")
     >>> wanted = ShapesDocument.model_validate(
     ...     {"plane": [{"name": "top", "x_mm": [180, 200], "y_mm": [-1, 2]}]}

@@ -2,9 +2,8 @@
 
 from pathlib import Path
 
-from lscan.config.documents import check, read_document
+from lscan.config.documents import check, read_document, write_toml
 from lscan.config.rig import ShaftSection
-from lscan.config.toml import write_toml
 from lscan.errors import InputError
 from lscan.surface.shaft import section_of
 from lscan.surface.shaftfit import ShaftFit

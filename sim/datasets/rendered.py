@@ -1,7 +1,7 @@
 """One scene rendered as a case: a picture with its truth."""
 
 from lscan.config.documents import Document
-from lscan.config.rigfile import inline_board, parse_rig
+from lscan.config.rig import inline_board, parse_rig
 from lscan.suites import BoardCase, SuiteCase
 from sim.datasets.boards import board_case
 from sim.datasets.lines import line_case, line_truths

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from lscan.config.documents import Document, Strict, by_content, check, merge, read_document
-from lscan.config.rigfile import inline_board, parse_rig
+from lscan.config.rig import inline_board, parse_rig
 from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
 from lscan.suites.content import Word

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from lscan.config.board import Board
-from lscan.config.documents import Document
-from lscan.config.toml import write_toml
+from lscan.config.documents import Document, write_toml
 from lscan.errors import InputError
 from lscan.files.disk import make_folder
 from lscan.files.pictures import write_picture

@@ -5,9 +5,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
-from lscan.config.documents import Document
-from lscan.config.rigfile import RigFile, parse_rig
-from lscan.config.toml import write_toml
+from lscan.config.documents import Document, write_toml
+from lscan.config.rig import RigFile, parse_rig
 from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.emulators.faults import (

@@ -11,8 +11,7 @@ from pydantic import Field, model_validator
 
 from lscan.config.board import Board
 from lscan.config.documents import Document, Strict, check, read_document
-from lscan.config.rig import Rig
-from lscan.config.rigfile import RigFile, inline_board, parse_rig
+from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene.boarderrors import STEEPEST, BoardErrors, TrueBoard

@@ -16,8 +16,7 @@ import numpy as np
 import trimesh
 
 from lscan.config.documents import Document, merge
-from lscan.config.rig import SheetSection, StripeSection
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import SheetSection, StripeSection, load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically, write_json
 from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface

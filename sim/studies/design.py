@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from lscan.config.documents import Document, check, merge
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.errors import InputError
 from sim.scene import SECTIONS, camera_pose, scene_of
 from sim.scene.file import TankSections

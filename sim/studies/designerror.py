@@ -15,7 +15,7 @@ import numpy as np
 
 from lscan.calibration.readings import all_marks, joined_marks
 from lscan.config.documents import Document, merge
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Marks, has_value, select
 from sim.meshes.paint import reflectance_at

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from lscan.config.documents import Document, by_content
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import json_text, read_json, write_json
 from lscan.records import Floats, Mask, Progress

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from lscan.config.documents import by_content
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.files.disk import read_bytes, write_atomically
 from lscan.records import Floats, Progress
 from lscan.version import __version__

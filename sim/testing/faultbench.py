@@ -9,9 +9,9 @@ from typing import Final
 from unittest import mock
 
 import lscan.acquisition.scan
-import lscan.config.rigfile
+import lscan.config.rig
 from lscan.acquisition.run import Run
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Camera, Grab, Track
 from lscan.devices.grbl import SerialTrack, track_driver as serial_driver
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
@@ -63,7 +63,7 @@ class FaultBench:
     def scan(self) -> Run:
         """The complete run, begun or resumed as by ``lscan scan``; errors as there."""
         with (
-            mock.patch.object(lscan.config.rigfile, "find_plugin", self._driver),
+            mock.patch.object(lscan.config.rig, "find_plugin", self._driver),
             mock.patch.object(time, "time", self._wall_clock(time.time)),
             mock.patch.object(SerialTrack, "move_to", self._watched_move(SerialTrack.move_to)),
             mock.patch.object(OpencvCamera, "grab", self._watched_grab(OpencvCamera.grab)),

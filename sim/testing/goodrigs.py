@@ -15,8 +15,7 @@ import numpy as np
 from lscan.acquisition.replay import ReplayOptions
 from lscan.acquisition.writer import create_run
 from lscan.config.documents import Document, Strict, merge
-from lscan.config.rig import Rig
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import Rig, parse_rig
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera import OpencvOptions

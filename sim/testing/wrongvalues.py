@@ -1,7 +1,7 @@
 """Values that a field of a file must refuse, and what the refusal must say.
 
 Both follow from the JSON schema that pydantic makes of a model, not from the code under test,
-which reads the same models in a way of its own (lscan.config.allowed).
+which reads the same models in a way of its own (lscan.config.documents).
 """
 
 import math

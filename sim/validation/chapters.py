@@ -8,7 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from lscan.acquisition.inorder import cores
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import load_rig
 from lscan.files.disk import make_folder
 from lscan.records import Progress
 from sim.render.backend import THREADS

@@ -14,7 +14,7 @@ from lscan.acquisition.run import Run
 from lscan.acquisition.scan import scan
 from lscan.benchmark.timing import timed
 from lscan.calibration.api import PlaneMap
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.pipeline import READ_AT_ONCE, calibrate_run, reconstruct
 from lscan.records import Profile
 from lscan.stripe.extract import extract_stripes

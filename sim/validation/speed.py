@@ -18,8 +18,7 @@ import numpy as np
 
 from lscan.acquisition.scan import scan
 from lscan.benchmark.timing import median_seconds, timed
-from lscan.config.rig import StripeSection
-from lscan.config.rigfile import RigFile, load_rig
+from lscan.config.rig import RigFile, StripeSection, load_rig
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask
 from lscan.stripe import extract_stripe

@@ -13,7 +13,7 @@ import pytest
 from device_contract import CameraContract, TrackContract
 
 from lscan.acquisition.scan import open_camera, open_track
-from lscan.config.rigfile import RigFile, load_rig
+from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Camera, LaserSwitch, Limited, Track
 from lscan.devices.signals import interrupted_by_signals, no_suspending
 from lscan.errors import InputError

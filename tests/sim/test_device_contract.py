@@ -6,7 +6,7 @@ import pytest
 from device_contract import CameraContract, TrackContract
 from places import SCENES
 
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from sim.devices import SimCamera, SimTrack, camera_driver, track_driver
 
 SCENE = SCENES / "paper" / "groove.toml"

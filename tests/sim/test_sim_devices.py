@@ -9,7 +9,7 @@ import pytest
 from helper_spies import calls_made, readiness
 from places import SCENES
 
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.errors import DeviceError, InputError
 from sim.devices import SimCamera, SimTrack, TankCamera, TrackOptions, camera_driver, track_driver
 from sim.render.tank import Tank

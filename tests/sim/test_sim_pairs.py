@@ -10,7 +10,7 @@ from places import SCENES
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import scan
 from lscan.config.documents import merge
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.records import Status, has_value
 from lscan.stripe import extract_stripe
 from sim.devices import SimCamera, SimTrack, TrackOptions

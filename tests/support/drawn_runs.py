@@ -16,7 +16,7 @@ from synthetic_scans import Placing, scan
 from lscan.acquisition.run import Run
 from lscan.acquisition.writer import create_run
 from lscan.config.board import load_board
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.records import Bytes, Floats, Frame, Surface
 

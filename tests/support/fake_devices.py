@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Grab, Track
 from lscan.errors import DeviceError
 

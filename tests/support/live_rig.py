@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from fake_devices import FakeCamera, FakeDrivers, FakeTrack, fake_rig
 
-import lscan.config.rigfile
+import lscan.config.rig
 from lscan.devices.api import Grab
 from lscan.live.session import Session
 
@@ -80,7 +80,7 @@ def live_bench(
     """Sessions on these devices, closed at the end."""
     moving = track or FakeTrack()
     drivers = FakeDrivers(moving, camera(moving))
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", drivers.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", drivers.find_plugin)
     monkeypatch.setattr("lscan.live.session.RETRY_S", 0.02)
     monkeypatch.setattr("lscan.live.session.WAIT_S", 0.02)
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)  # spare the disk

@@ -8,7 +8,7 @@ from typing import Any
 from places import SCENES
 
 from lscan.config.documents import merge
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from sim.emulators import EmulatedHardware
 from sim.scene import Scene, scene_of
 from sim.sensor.coding import from_jpeg

@@ -9,7 +9,7 @@ import numpy as np
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import resume_run
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Grab
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from sim.emulators.grbl import DirectLine, GrblEmulator, SimulatedTime

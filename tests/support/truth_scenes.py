@@ -7,7 +7,7 @@ import shapely
 import trimesh
 
 from lscan.config.documents import merge
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.config.targets import GroovedBlock
 from sim.scene import Pose, Scene, scene_of
 

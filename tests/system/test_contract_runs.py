@@ -14,8 +14,7 @@ import pytest
 from places import ROOT
 from served import hurry, small_scene
 
-from lscan.config.documents import merge
-from lscan.config.toml import write_toml
+from lscan.config.documents import merge, write_toml
 from sim.emulators import EmulatedHardware, ServeOptions
 
 PATIENCE_S = 300.0

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.scan import scan
 from lscan.cli.app import app
-from lscan.config.rigfile import RigFile, load_rig
+from lscan.config.rig import RigFile, load_rig
 from lscan.paper.experiment import METHODS, Experiment
 from lscan.paper.published import CHOSEN_MAP
 from sim.demo import FULL, PARTS, run_demo, thin_out

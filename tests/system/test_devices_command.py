@@ -10,8 +10,7 @@ from served import hurry, small_scene
 from typer.testing import CliRunner
 
 from lscan.cli import devices as devices_cli
-from lscan.config.documents import merge
-from lscan.config.toml import write_toml
+from lscan.config.documents import merge, write_toml
 from sim.emulators import EmulatedHardware
 
 

@@ -24,7 +24,7 @@ from served import hurry, quick_rig, small_scene
 import lscan.cli.app
 import lscan.config.scenes
 import sim.cli.app
-from lscan.config.toml import toml_text
+from lscan.config.documents import toml_text
 from sim.emulators import EmulatedHardware
 
 APPS = {"lscan": lscan.cli.app.app, "lscan-sim": sim.cli.app.app}

@@ -19,10 +19,10 @@ import pytest
 from command_line import call
 from fake_devices import FakeCamera, fake_rig
 
-import lscan.config.rigfile
+import lscan.config.rig
 from lscan.acquisition.run import MANIFEST, frame_file
 from lscan.acquisition.scan import scan
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.devices.api import LASER_MAY_BE_LIT, Grab
 from lscan.devices.grbl import SerialTrackOptions, open_track
 from lscan.devices.signals import STOPPING, interrupted_by_signals, stop_signals_held
@@ -186,7 +186,7 @@ def test_the_laser_is_off_however_a_scan_ends_or_said_to_be_lit(
 ) -> None:
     way = WAYS[name]
     bench = Bench(dialect, way.end)
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", bench.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
     before = [signal.getsignal(number) for number in ENDING]
     with pytest.raises(way.error) as ended:
         scan(fake_rig(FRAMES, laser=laser), tmp_path / "a")
@@ -201,7 +201,7 @@ def test_a_full_disk_and_a_failing_callback_leave_it_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dialect: str
 ) -> None:
     bench = Bench(dialect)
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", bench.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
 
     def failing(done: int, planned: int) -> None:
         assert done == 0 or not bench.lit, "the terminal is gone"
@@ -232,7 +232,7 @@ def test_a_late_picture_is_taken_again_with_the_laser_on(
         late.clear()
 
     bench = Bench("grbl", wait)
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", bench.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
     run = scan(fake_rig(FRAMES, laser="on"), tmp_path / "a")
     assert (run.state, bench.lit) == ("complete", False)
 
@@ -255,9 +255,9 @@ def commands(
     """Runs ``lscan COMMAND rig.toml -o FOLDER`` on a bench."""
 
     def run(bench: Bench, command: str) -> tuple[int, str, str]:
-        monkeypatch.setattr(lscan.config.rigfile, "find_plugin", bench.find_plugin)
+        monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
         rig_file = fake_rig(FRAMES, laser="on")
-        monkeypatch.setattr(lscan.config.rigfile, "load_rig", lambda _: rig_file)
+        monkeypatch.setattr(lscan.config.rig, "load_rig", lambda _: rig_file)
         rest = ("--port", 0) if command == "live" else ()
         return call(capsys, command, "rig.toml", "-o", tmp_path / "a", *rest)
 
@@ -330,7 +330,7 @@ def test_whoever_resumes_is_told_again_of_a_laser_that_may_be_lit(
     Nor does a run that has all its frames become complete without a word.
     """
     bench, rig_file, folder = Bench(dialect), fake_rig(FRAMES, laser=laser), tmp_path / "a"
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", bench.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
 
     def lose(done: int, planned: int) -> None:
         if done == (planned if way == "lost at the end" else 1):
@@ -475,7 +475,7 @@ def test_a_hangup_that_nohup_ignores_stays_ignored(commands: Command) -> None:
 def test_a_script_keeps_its_own_handlers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     came: list[int] = []
     bench = Bench("grbl", lambda _: signal.raise_signal(signal.SIGUSR1))
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", bench.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
     before = signal.signal(signal.SIGUSR1, lambda number, _: came.append(number))
     try:
         run = scan(fake_rig(FRAMES, laser="on"), tmp_path / "a")

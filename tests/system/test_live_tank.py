@@ -11,8 +11,7 @@ from lscan.acquisition.run import open_run
 from lscan.board import read_board
 from lscan.calibration.file import load_calibration
 from lscan.calibration.solve import calibrate
-from lscan.config.rig import SheetSection
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import SheetSection, load_rig
 from lscan.live.boardview import read_live_board
 from lscan.live.session import Session
 from lscan.records import Bytes

@@ -12,8 +12,8 @@ import pytest
 from served import small_scene
 
 from lscan.cli.console import run_command_line
-from lscan.config.rigfile import load_rig
-from lscan.config.toml import write_toml
+from lscan.config.documents import write_toml
+from lscan.config.rig import load_rig
 from sim.cli.app import app
 from sim.emulators.hardware import EmulatedHardware
 

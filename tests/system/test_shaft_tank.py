@@ -14,7 +14,7 @@ from truth_scenes import BOARD, in_head, tank
 from lscan.acquisition.scan import scan
 from lscan.cli.app import app
 from lscan.cli.inputs import open_calibrated
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.measurement import measure_sandwave
 from lscan.records import Floats, Status

@@ -17,8 +17,7 @@ import pytest
 from places import SCENES
 
 from lscan.config.documents import merge
-from lscan.config.rig import StripeSection
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import StripeSection, parse_rig
 from lscan.records import Status, has_value
 from lscan.stripe import extract_stripe
 from sim.render.tank import Tank

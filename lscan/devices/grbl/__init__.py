@@ -8,7 +8,7 @@ options = { port = "/dev/ttyUSB0", min_mm = 0, max_mm = 180, zero_mm = -190 }
 import time
 from collections.abc import Callable
 
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.devices.api import Fact
 from lscan.devices.grbl.controller import GrblMachine
 from lscan.devices.grbl.link import Link, Transport, open_serial

@@ -3,7 +3,7 @@
 import os
 
 from lscan.config.documents import check
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.devices.api import Fact, Track
 from lscan.devices.opencv_camera.camera import OpencvCamera
 from lscan.devices.opencv_camera.options import OpencvOptions

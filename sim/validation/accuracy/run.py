@@ -3,7 +3,7 @@
 from functools import partial
 from pathlib import Path
 
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import load_rig
 from lscan.files.disk import list_names
 from lscan.records import Progress
 from sim.validation.accuracy.chapters import CHAPTERS, Chapter

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from lscan.config.documents import merge
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.records import Floats
 from lscan.stripe import extract_stripe
 from sim.render.layers import Layers

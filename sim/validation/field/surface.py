@@ -15,9 +15,8 @@ import numpy as np
 import trimesh
 
 from lscan.calibration.api import PlaneMap
-from lscan.config.rigfile import parse_rig
-from lscan.config.shapes import ShapesDocument
-from lscan.config.targets import Sandwave
+from lscan.config.rig import parse_rig
+from lscan.config.targets import Sandwave, ShapesDocument
 from lscan.files.disk import write_atomically
 from lscan.measure.meshcompare import MeshPose, compare_mesh
 from lscan.measure.shapemeasures import Quantity, measure_shapes

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.config.documents import Document, merge
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import packaged_table
 from lscan.records import Floats

@@ -11,8 +11,7 @@ from lscan.acquisition.scan import scan
 from lscan.benchmark.timing import timed
 from lscan.calibration.api import PlaneMap
 from lscan.config.documents import Document, merge
-from lscan.config.rig import Rig
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import Rig, RigFile, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
 from lscan.paper.experiment import measure_board

@@ -10,9 +10,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from unittest.mock import patch
 
+from lscan.config.documents import toml_text
 from lscan.config.plugins import find_plugin, installed
-from lscan.config.rigfile import load_rig
-from lscan.config.toml import toml_text
+from lscan.config.rig import load_rig
 from lscan.errors import InputError
 from sim.testing.goodrigs import GoodRig, good_rigs, write_beside
 from sim.testing.wrongfields import MOST_SHOWN, WrongField, crossed_rigs, dotted, wrong_fields

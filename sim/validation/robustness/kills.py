@@ -17,8 +17,7 @@ import numpy as np
 
 import lscan
 from lscan.acquisition.run import TABLE
-from lscan.config.documents import Document, merge
-from lscan.config.toml import write_toml
+from lscan.config.documents import Document, merge, write_toml
 from sim.validation.rows import Row, row
 
 SEED: Final = 5020

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from lscan.acquisition.scan import scan
 from lscan.calibration.file import save_calibration
-from lscan.config.rigfile import load_rig
-from lscan.config.toml import toml_text
+from lscan.config.documents import toml_text
+from lscan.config.rig import load_rig
 from lscan.errors import MeasurementError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.paper.experiment import measure_board

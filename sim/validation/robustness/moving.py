@@ -9,7 +9,7 @@ import psutil
 
 from lscan.acquisition.scan import open_track
 from lscan.config.documents import merge
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from lscan.files.disk import make_folder
 from sim.emulators.webcam.camera import LONG_MOVE_S
 from sim.emulators.webcam.mjpeg import BOUNDARY

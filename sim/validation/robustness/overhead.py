@@ -19,7 +19,7 @@ import numpy as np
 
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.devices.api import Grab
 from lscan.records import Bytes, Floats
 from sim.render.tank import Tank

@@ -4,8 +4,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from lscan.config.documents import Document
-from lscan.config.toml import write_toml
+from lscan.config.documents import Document, write_toml
 from lscan.errors import MeasurementError
 from sim.studies.running import StudyOptions
 from sim.studies.study import run_study

@@ -7,7 +7,7 @@ import numpy as np
 
 from lscan.calibration.readings import joined_marks
 from lscan.config.documents import Document
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.records import select
 from sim.scene import Scene, load_scene, scene_of
 from sim.studies.places import ScanPlaces, places_of

@@ -21,7 +21,7 @@ from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.cli.app import app
 from lscan.cli.console import run_command_line
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.devices.api import Grab, LaserSwitch
 from lscan.errors import DeviceError, InputError
 from lscan.files import disk

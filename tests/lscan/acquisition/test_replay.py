@@ -12,7 +12,7 @@ from lscan.acquisition.replay import ReplayCamera, ReplayTrack, camera_driver, t
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.scan import scan
 from lscan.acquisition.writer import create_run
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.errors import DeviceError, InputError
 from lscan.records import Frame
 

@@ -10,7 +10,7 @@ from fake_devices import HEIGHT, WIDTH, FakeCamera, FakeTrack, fake_rig, folder_
 from lscan.acquisition.samerig import require_same_rig
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run, resume_run
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.grbl import SerialTrackOptions, track_driver as grbl
 from lscan.devices.opencv_camera import OpencvOptions, camera_driver as opencv
 from lscan.errors import DeviceError, InputError

@@ -21,7 +21,7 @@ from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
 from lscan.acquisition.samerig import first_difference
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import remove_temporaries, temporary_name, write_atomically
 from lscan.records import Frame

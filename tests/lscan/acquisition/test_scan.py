@@ -14,11 +14,11 @@ from fake_devices import FakeCamera, FakeDrivers, FakeTrack, fake_rig, folder_by
 from places import ROOT, SUPPORT
 
 import lscan.acquisition.run
-import lscan.config.rigfile
+import lscan.config.rig
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.scan import acquire_into, scan
 from lscan.acquisition.writer import create_run, resume_run
-from lscan.config.rigfile import RigFile
+from lscan.config.rig import RigFile
 from lscan.errors import DeviceError, InputError
 from lscan.files import disk
 
@@ -45,7 +45,7 @@ def resumed(path: Path, rig_file: RigFile | None = None) -> Run:
 def drivers(monkeypatch: pytest.MonkeyPatch) -> FakeDrivers:
     track = FakeTrack()
     drivers = FakeDrivers(track, FakeCamera(track))
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", drivers.find_plugin)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", drivers.find_plugin)
     return drivers
 
 

@@ -20,7 +20,7 @@ from png_files import HUGE, grey_png
 from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
 from lscan.acquisition.scan import acquire_into, open_devices, scan
 from lscan.acquisition.writer import create_run, resume_run
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.errors import InputError
 from lscan.files import disk
 from lscan.files.disk import write_atomically

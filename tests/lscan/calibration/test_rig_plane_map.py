@@ -5,9 +5,9 @@ from typing import Any
 
 import pytest
 
-import lscan.config.rigfile
+import lscan.config.rig
 from lscan.calibration.api import find_solver
-from lscan.config.rigfile import RigFile, load_rig
+from lscan.config.rig import RigFile, load_rig
 from lscan.errors import InputError
 
 RIG = """
@@ -75,10 +75,10 @@ def test_the_rig_refuses_no_less_than_the_solver(tmp_path: Path, name: str) -> N
 def test_a_strangers_solver_without_the_check_still_serves(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original = lscan.config.rigfile.find_plugin
+    original = lscan.config.rig.find_plugin
 
     def with_stranger(group: str, name: str, where: object = None) -> Any:
         return object() if name == "stranger" else original(group, name, where)
 
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", with_stranger)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", with_stranger)
     assert read(tmp_path, "stranger-7").rig.calibration.plane_map == "stranger-7"

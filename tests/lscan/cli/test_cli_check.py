@@ -11,8 +11,7 @@ from planeviews import PAPER_BOARD, paper_board
 
 from lscan.calibration.file import load_calibration
 from lscan.calibration.maps import auto
-from lscan.config.documents import read_document
-from lscan.config.toml import write_toml
+from lscan.config.documents import read_document, write_toml
 from lscan.files.pictures import write_picture
 
 pytestmark = pytest.mark.xdist_group("cli_check")  # one worker: they share a fixture

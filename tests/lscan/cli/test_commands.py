@@ -17,7 +17,7 @@ from places import PHOTOGRAPHS, ROOT, SUPPORT
 from lscan.acquisition.run import open_run
 from lscan.acquisition.writer import create_run
 from lscan.config.documents import merge
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.surface import load_surface
 
 pytestmark = pytest.mark.xdist_group("cli")  # one worker: they share a fixture

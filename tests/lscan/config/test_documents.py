@@ -18,8 +18,7 @@ from lscan.config.documents import (
     named_files,
     read_document,
 )
-from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection, load_rig
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.files.disk import read_json

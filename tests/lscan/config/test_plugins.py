@@ -25,7 +25,7 @@ from lscan.config.plugins import (
     others_versions,
     with_package,
 )
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.paper.experiment import Chain
 from lscan.paper.provenance import chain_versions

@@ -15,11 +15,8 @@ import pytest
 from pydantic import BaseModel, Discriminator, Field, Tag, create_model
 
 from lscan.config import documents
-from lscan.config.allowed import in_words
-from lscan.config.documents import Strict
-from lscan.config.rig import Rig
-from lscan.config.rigfile import load_rig
-from lscan.config.toml import toml_text
+from lscan.config.documents import Strict, in_words, toml_text
+from lscan.config.rig import Rig, load_rig
 from lscan.errors import InputError
 from sim.scene.file import TankSections
 from sim.testing.crossing import CROSSINGS

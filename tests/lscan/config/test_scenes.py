@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from lscan.cli.app import app
 from lscan.config.board import load_board
 from lscan.config.documents import read_document
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import load_rig
 from lscan.config.scenes import (
     SpecKind,
     copy_scenes,

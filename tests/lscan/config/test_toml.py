@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.config.toml import toml_text, write_toml
+from lscan.config.documents import toml_text, write_toml
 from lscan.errors import InputError
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)

@@ -10,8 +10,7 @@ from fake_capture import HEIGHT_PX, WIDTH_PX, World, scene_of
 
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
-from lscan.config.rig import CameraSection
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import CameraSection, RigFile, parse_rig
 from lscan.devices.api import Grab
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions

@@ -14,8 +14,7 @@ from typer.testing import CliRunner
 
 from lscan.acquisition.writer import create_run
 from lscan.cli import devices as devices_cli
-from lscan.config.rig import CameraSection
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import CameraSection, RigFile, load_rig, parse_rig
 from lscan.devices.api import Fact, Grab
 from lscan.devices.listing import rig_devices
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
@@ -123,7 +122,7 @@ def test_of_the_tank() -> None:
 def test_a_driver_of_somebody_else_need_not_state_capabilities(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("lscan.config.rigfile.find_plugin", lambda *_, **__: object())
+    monkeypatch.setattr("lscan.config.rig.find_plugin", lambda *_, **__: object())
     found = rig_devices(parse_rig({"camera": {"driver": "x"}, "track": {"driver": "y"}}, "rig"))
     expected: dict[str, Fact] = {"driver": "y", "switches_laser": False}
     assert found["track"] == expected

@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 
 from lscan.cli import devices as devices_cli
 from lscan.config.documents import check
-from lscan.config.rig import NoiseSection
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import NoiseSection, parse_rig
 from lscan.devices import listing
 from lscan.devices.api import Grab
 from lscan.devices.listing import drivers, serial_ports, video_devices
@@ -225,11 +224,11 @@ def _run(*arguments: str, typed: str = "") -> Any:
 @pytest.fixture
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     kinds = {"lscan.cameras": _Driver(LinearCamera), "lscan.tracks": _Driver(ShortTrack)}
-    monkeypatch.setattr("lscan.config.rigfile.find_plugin", lambda group, name, where: kinds[group])
+    monkeypatch.setattr("lscan.config.rig.find_plugin", lambda group, name, where: kinds[group])
     size = {"width_px": 64, "height_px": 48}
     document = {"camera": {"driver": "x", **size}, "track": {"driver": "x"}}
     rig_file = parse_rig(document, source="rig.toml", trusted=True)
-    monkeypatch.setattr("lscan.config.rigfile.load_rig", lambda path: rig_file)
+    monkeypatch.setattr("lscan.config.rig.load_rig", lambda path: rig_file)
     return tmp_path / "rig.toml"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 from device_contract import TrackContract
 
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.devices.api import Track
 from lscan.devices.manual import ManualOptions, ManualTrack, track_driver
 from lscan.errors import DeviceError, InputError

@@ -15,8 +15,7 @@ from fake_capture import HEIGHT_PX, WIDTH_PX, World, scene_of
 from hypothesis import given, settings, strategies as st
 
 from lscan.acquisition.scan import scan
-from lscan.config.rig import CameraSection
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import CameraSection, parse_rig
 from lscan.devices.api import Previewing
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions, Setting, camera_driver
 from lscan.devices.opencv_camera.settings import fourcc_text
@@ -402,9 +401,7 @@ def test_a_stopped_scan_of_a_file_resumes_with_the_same_pictures(
 ) -> None:
     track = _StandingTrack()
     drivers = {"lscan.tracks": track, "lscan.cameras": camera_driver}
-    monkeypatch.setattr(
-        "lscan.config.rigfile.find_plugin", lambda group, name, where: drivers[group]
-    )
+    monkeypatch.setattr("lscan.config.rig.find_plugin", lambda group, name, where: drivers[group])
     camera = {"driver": "opencv", "options": {"file": str(video), "average_frames": 2}}
     size = {"width_px": VIDEO_PX[0], "height_px": VIDEO_PX[1]}
     document = {

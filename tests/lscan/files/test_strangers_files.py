@@ -32,8 +32,8 @@ from lscan.calibration.file import load_calibration
 from lscan.calibration.multiview.file import load_camera, load_metric
 from lscan.calibration.multiview.viewsfile import load_views, read_views
 from lscan.config.board import load_board
-from lscan.config.rigfile import load_rig
-from lscan.config.shapes import load_shapes
+from lscan.config.rig import load_rig
+from lscan.config.targets import load_shapes
 from lscan.errors import InputError
 from lscan.files import datasets
 from lscan.files.datasets import MEMBERS, PictureDataset

@@ -8,7 +8,7 @@ from fake_devices import FakeTrack, fake_rig
 from live_rig import Bench, live_bench, wait_for
 
 from lscan.acquisition.run import open_run
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.errors import DeviceError
 from lscan.live.session import Session
 

@@ -435,8 +435,8 @@ class SlowTrack(GatedTrack):
         print("track closed", flush=True)
 
 track = SlowTrack()
-lscan.config.rigfile.find_plugin = FakeDrivers(track, FakeCamera(track)).find_plugin
-lscan.config.rigfile.load_rig = lambda path: fake_rig(1000)
+lscan.config.rig.find_plugin = FakeDrivers(track, FakeCamera(track)).find_plugin
+lscan.config.rig.load_rig = lambda path: fake_rig(1000)
 from lscan.cli.app import main
 sys.argv = ["lscan", "live", "rig.toml", "--port", "0", "-o", {output!r}]
 main()

@@ -9,10 +9,10 @@ import pytest
 from fake_devices import FakeCamera, fake_rig
 from live_rig import LONG_S, wait_for
 
-import lscan.config.rigfile
+import lscan.config.rig
 from lscan.acquisition.run import open_run
 from lscan.config.plugins import find_plugin
-from lscan.config.rigfile import RigFile, parse_rig
+from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Grab, Track
 from lscan.errors import DeviceError
 from lscan.live.devices import LiveDevices
@@ -67,7 +67,7 @@ def cable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cable]:
     def find(group: str, name: str, where: object = None) -> Any:
         return find_plugin(group, name, where=where) if name == "grbl" else CameraDriver()
 
-    monkeypatch.setattr(lscan.config.rigfile, "find_plugin", find)
+    monkeypatch.setattr(lscan.config.rig, "find_plugin", find)
     monkeypatch.setattr("lscan.live.session.CHECK_S", FOREVER_S)
     plugged = Cable(tmp_path / "port")
     yield plugged

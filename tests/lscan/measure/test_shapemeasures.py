@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from shape_surfaces import RADIUS_MM, dome, plan, ridge, surface_of
 
-from lscan.config.shapes import ShapesDocument, load_shapes
+from lscan.config.targets import ShapesDocument, load_shapes
 from lscan.errors import InputError, MeasurementError
 from lscan.measure.shapemeasures import measure_shapes
 from lscan.records import Floats, Status

@@ -11,7 +11,7 @@ import report_examples as examples
 
 from lscan.acquisition.run import Run
 from lscan.cli.report import print_chains
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.paper import published as paper
 from lscan.paper.experiment import Experiment, PictureSource
 from lscan.paper.provenance import chain_names, describe_chains, note, picture_source

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lscan.config.rig import NoiseSection, SheetSection, StripeSection
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import NoiseSection, SheetSection, StripeSection, load_rig
 from lscan.errors import InputError
 from lscan.records import Status, Surface
 from lscan.roughness import ScannerResponse, line_reading, response_of

@@ -10,8 +10,7 @@ from rotary_scans import turned
 from scipy.spatial.transform import Rotation
 
 from lscan.config.documents import check
-from lscan.config.rig import ShaftSection
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import ShaftSection, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats, PlanePoints, Profile, Status
 from lscan.surface import load_surface, save_surface

@@ -20,8 +20,7 @@ from places import ROOT
 from truth_scenes import BASE, tank
 from typer.testing import CliRunner
 
-from lscan.config.documents import merge
-from lscan.config.toml import write_toml
+from lscan.config.documents import merge, write_toml
 from lscan.errors import InputError
 from lscan.files.datasets import MEMBERS, MOST_PICTURES, PictureDataset, run_lengths
 from lscan.records import Status

@@ -16,9 +16,8 @@ from typer.testing import CliRunner
 from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import scan
 from lscan.acquisition.writer import create_run
-from lscan.config.documents import merge, named_files
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
-from lscan.config.toml import write_toml
+from lscan.config.documents import merge, named_files, write_toml
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.records import Status
 from sim.cli.app import app

@@ -25,7 +25,7 @@ from served import (
 
 from lscan.acquisition.scan import open_devices, scan
 from lscan.config.documents import check
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.records import Bytes, Floats
 from sim.devices import SimCamera, SimTrack, TrackOptions

@@ -10,8 +10,7 @@ from served import PAPER, quick_rig, small_scene
 from lscan.acquisition.samerig import first_difference
 from lscan.acquisition.scan import scan
 from lscan.config.documents import Document
-from lscan.config.rig import SheetSection
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import SheetSection, load_rig
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.emulators.rigfile import rig_document
 

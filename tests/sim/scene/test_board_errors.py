@@ -10,7 +10,7 @@ from truth_scenes import tank
 
 from lscan.calibration.solve import calibrate
 from lscan.config.board import Board
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats, Status
 from sim.meshes import scene_parts

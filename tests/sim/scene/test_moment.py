@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 from places import SCENES
 
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.render.tank import Tank

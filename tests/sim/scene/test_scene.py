@@ -116,7 +116,7 @@ def test_one_wrong_field_is_one_clear_line(
 ) -> None:
     path = variant(tmp_path, old, new)
     with pytest.raises(InputError, match=message) as caught:
-        from lscan.config.rigfile import load_rig
+        from lscan.config.rig import load_rig
 
         load_rig(path)
     assert "\n" not in str(caught.value)

@@ -10,7 +10,7 @@ import trimesh
 from places import SCENES
 from typer.testing import CliRunner
 
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import load_rig
 from lscan.errors import InputError
 from sim.cli.app import app
 

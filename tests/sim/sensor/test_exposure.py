@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as st
 from places import SCENES
 from sensor_scenes import layers_of, sensor_scene
 
-from lscan.config.rigfile import RigFile, load_rig, parse_rig
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from lscan.errors import InputError
 from sim.devices import SimCamera, SimTrack, TrackOptions, camera_driver
 from sim.render.layers import Layers

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from places import SCENES
 
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene, scene_of
 from sim.sensor import Webcam

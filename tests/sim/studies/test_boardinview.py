@@ -6,7 +6,7 @@ from places import SCENES
 
 from lscan.board import read_board
 from lscan.config.documents import merge
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import BoardNotFound, MeasurementError
 from lscan.records import Floats
 from sim.render.tank import Tank

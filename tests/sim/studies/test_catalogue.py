@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from places import SCENES
 
-from lscan.config.documents import Document
-from lscan.config.rigfile import load_rig, parse_rig
-from lscan.config.toml import write_toml
+from lscan.config.documents import Document, write_toml
+from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from sim.scene import scene_of
 from sim.studies.catalogue import Catalogue, load_catalogue

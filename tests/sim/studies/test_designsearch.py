@@ -12,7 +12,7 @@ from hypothesis import given, strategies
 from hypothesis.extra import numpy as arrays
 
 from lscan.config.documents import Document, check
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import load_rig
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import Head

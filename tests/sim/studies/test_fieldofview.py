@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lscan.config.documents import merge
-from lscan.config.rigfile import load_rig, parse_rig
+from lscan.config.rig import load_rig, parse_rig
 from sim.scene import Scene, scene_of
 from sim.studies.fieldofview import aim_mm, measured_mm
 from sim.water import water_optics

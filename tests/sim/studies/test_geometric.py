@@ -8,7 +8,7 @@ from study_cases import known_of, study_with
 
 from lscan.calibration.api import find_solver
 from lscan.config.documents import Document, merge
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import into_head, scene_of

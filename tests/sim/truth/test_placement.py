@@ -14,7 +14,7 @@ from places import SCENES
 from truth_scenes import block_mesh, tank
 from typer.testing import CliRunner
 
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import load_rig
 from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError
 from sim.cli.app import app

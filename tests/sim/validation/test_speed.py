@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from places import SCENES
 
-from lscan.config.rigfile import load_rig
+from lscan.config.rig import load_rig
 from lscan.records import Floats
 from sim.scene import Scene
 from sim.validation import picturespeed, speed as bench

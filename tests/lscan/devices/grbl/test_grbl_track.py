@@ -9,7 +9,7 @@ import pytest
 from device_contract import TrackContract
 from hypothesis import given, settings, strategies as st
 
-from lscan.config.rigfile import parse_rig
+from lscan.config.rig import parse_rig
 from lscan.devices.api import Track
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track, track_driver
 from lscan.errors import DeviceError, InputError
