@@ -10,7 +10,7 @@ from lscan.calibration.api import PlaneMap
 from lscan.calibration.maps.auto import Auto
 from lscan.calibration.physical import PhysicalMap
 from lscan.calibration.solved import SolvedMap
-from lscan.camera.water import stated_water
+from lscan.camera.optics import stated_water
 from lscan.config.rig import OpticsSection, Rig, SinceSection
 from lscan.errors import InputError
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.calibration.motion import closest_motion
-from lscan.camera.boards import rotation
+from lscan.camera.posedboards import rotation
 from lscan.errors import MeasurementError
 from lscan.records import Floats, PlanePoints, select
 

@@ -17,7 +17,7 @@ from lscan.calibration.maps.polynomial import terms
 from lscan.calibration.maps.scaling import box
 from lscan.calibration.readings import all_marks, found_marks, joined_marks, without
 from lscan.calibration.region import spacing_px
-from lscan.camera.fit import MEDIAN
+from lscan.camera.resection import MEDIAN
 from lscan.records import BoardReading, Floats, Mask
 
 ORDERS = (7, 5, 3)  # of the polynomial: the first that the marks determine

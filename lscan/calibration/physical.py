@@ -16,10 +16,9 @@ from lscan.calibration.evaluate import Estimate, propagated
 from lscan.calibration.pixeltable import PixelTable, tabulated
 from lscan.calibration.solved import SolvedMap
 from lscan.camera import rays
-from lscan.camera.boards import rotation
-from lscan.camera.covariance import MODE_STEP, pixel_derivatives
-from lscan.camera.parameters import CAMERA, PortKind, camera_of
-from lscan.camera.projection import meet_plane
+from lscan.camera.optics import meet_plane
+from lscan.camera.posedboards import CAMERA, PortKind, camera_of, rotation
+from lscan.camera.resection import MODE_STEP, pixel_derivatives
 from lscan.config.documents import check
 from lscan.config.rig import Known, SinceSection
 from lscan.records import Floats

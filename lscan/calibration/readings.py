@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lscan.camera.fit import BoardMarks
+from lscan.camera.resection import BoardMarks
 from lscan.records import BoardReading, Floats, Marks, Mask, Status
 
 LEAST_SIGMA_PX = 0.002  # a quarter of what is reached in an 8-bit picture; ours

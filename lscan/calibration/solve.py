@@ -7,7 +7,7 @@ import numpy as np
 from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.calibration.outliers import ScreenedReading, screened
 from lscan.calibration.region import spacing_px
-from lscan.camera.covariance import pixel_derivatives
+from lscan.camera.resection import pixel_derivatives
 from lscan.config.plugins import others_versions
 from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Floats

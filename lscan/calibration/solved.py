@@ -12,8 +12,7 @@ from lscan.calibration.readings import found_marks
 from lscan.calibration.region import Region
 from lscan.calibration.sheetcorrection import SheetCorrection
 from lscan.calibration.stored import NotNegative, Number, Pair
-from lscan.camera.projection import require_columns
-from lscan.camera.water import stated_water
+from lscan.camera.optics import require_columns, stated_water
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError

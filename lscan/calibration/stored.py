@@ -19,7 +19,7 @@ from pydantic import (
     WrapValidator,
 )
 
-from lscan.camera.parameters import LIMITS
+from lscan.camera.posedboards import LIMITS
 from lscan.records import Floats
 
 STRICT = ConfigDict(extra="forbid")

@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.calibration.motion import fit_similarity
 from lscan.calibration.physical import PhysicalMap
-from lscan.camera.parameters import LIMITS, WATER
+from lscan.camera.posedboards import LIMITS, WATER
 from lscan.records import Floats
 
 INDEX_STEP = 1e-4  # for differences by the index: 0.1 px, of which the second order is 1e-5 px

@@ -3,7 +3,6 @@
 Camera frame: x right, y down, z ahead, origin at the pinhole, mm.
 """
 
-from lscan.camera.model import CameraModel, PortModel
-from lscan.camera.projection import Rays, project, rays
+from lscan.camera.optics import CameraModel, PortModel, Rays, project, rays
 
 __all__ = ["CameraModel", "PortModel", "Rays", "project", "rays"]

@@ -116,7 +116,7 @@ def _in_words(calibration: MetricCalibration | CameraCalibration) -> str:
 def summary(calibration: MetricCalibration | CameraCalibration) -> dict[str, Any]:
     """What a metric calibration, or a camera's, found, as ``print_json`` takes it."""
     from lscan.calibration.multiview.solve import MetricCalibration
-    from lscan.camera.parameters import CAMERA
+    from lscan.camera.posedboards import CAMERA
 
     metric = calibration if isinstance(calibration, MetricCalibration) else None
     known = zip(CAMERA, calibration.theta, calibration.sigma, strict=True)

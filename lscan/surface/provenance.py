@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field
 
 from lscan.calibration.api import PlaneMap
-from lscan.camera.water import stated_water
+from lscan.camera.optics import stated_water
 from lscan.config.documents import Strict
 from lscan.config.plugins import with_package
 from lscan.config.rig import Rig

@@ -18,10 +18,8 @@ from lscan.calibration.region import covered_region
 from lscan.calibration.solved import MapSolver
 from lscan.calibration.stored import Matrix, Number, Place, check_theta, of_length
 from lscan.calibration.unexplained import unexplained_mm
-from lscan.camera.boards import POSE, PosedBoards
-from lscan.camera.covariance import MODE_STEP, displacements, modes_that_matter
-from lscan.camera.fit import CameraFit
-from lscan.camera.parameters import CAMERA, PortKind
+from lscan.camera.posedboards import CAMERA, POSE, PortKind, PosedBoards
+from lscan.camera.resection import MODE_STEP, CameraFit, displacements, modes_that_matter
 from lscan.config.rig import Known, OpticsSection, SinceSection
 from lscan.records import BoardReading, Floats
 

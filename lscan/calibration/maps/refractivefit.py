@@ -7,17 +7,17 @@ leave a choice, and the covariance shows how much choice there was.
 import numpy as np
 
 from lscan.calibration.readings import found_on, joined_marks
-from lscan.camera.boards import PosedBoards
-from lscan.camera.fit import (
+from lscan.camera.posedboards import CameraPriors, PosedBoards, priors_of
+from lscan.camera.resection import (
     MOST_EVALUATIONS,
+    TOLERANCE,
     BoardMarks,
     CameraFit,
+    best_start,
     fit_boards,
     sound_marks,
     with_covariance,
 )
-from lscan.camera.parameters import CameraPriors, priors_of
-from lscan.camera.start import TOLERANCE, best_start
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Mask, select

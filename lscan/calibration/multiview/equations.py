@@ -6,10 +6,8 @@ import numpy as np
 
 from lscan.calibration.multiview.lines import across_mm, distance_mm
 from lscan.calibration.multiview.views import LinePoints
-from lscan.camera.boards import POSE
-from lscan.camera.derivatives import on_board_derivatives
-from lscan.camera.fit import CameraFit
-from lscan.camera.parameters import COUNT
+from lscan.camera.posedboards import COUNT, POSE, on_board_derivatives
+from lscan.camera.resection import CameraFit
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask
 

@@ -22,7 +22,7 @@ from lscan.calibration.stored import (
     Vector,
     check_theta,
 )
-from lscan.camera.parameters import CAMERA, COUNT
+from lscan.camera.posedboards import CAMERA, COUNT
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from lscan.calibration.multiview.views import LinePoints
-from lscan.camera.boards import PosedBoards
-from lscan.camera.covariance import PIXEL_STEP, Locate
+from lscan.camera.posedboards import PosedBoards
+from lscan.camera.resection import PIXEL_STEP, Locate
 from lscan.records import Floats, Mask, select
 
 FEWEST_POINTS = 10  # of a line; a straight line has two unknowns

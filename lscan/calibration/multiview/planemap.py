@@ -19,9 +19,9 @@ from lscan.calibration.region import Region
 from lscan.calibration.solved import MapSolver, full_name
 from lscan.calibration.stored import Matrix, Number, Pair, Place, Vector, check_theta, of_length
 from lscan.camera import project, rays
-from lscan.camera.covariance import Locate, displacements, modes_that_matter
-from lscan.camera.parameters import CAMERA, COUNT, WATER, PortKind, camera_of
-from lscan.camera.projection import meet_plane
+from lscan.camera.optics import meet_plane
+from lscan.camera.posedboards import CAMERA, COUNT, WATER, PortKind, camera_of
+from lscan.camera.resection import Locate, displacements, modes_that_matter
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import BoardReading, Floats

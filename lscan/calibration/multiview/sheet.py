@@ -18,8 +18,8 @@ from lscan.calibration.multiview.consensus import FEWEST_AGREEING, Agreement, ag
 from lscan.calibration.multiview.equations import PlaneEquations, undetermined
 from lscan.calibration.multiview.lines import FEWEST_POINTS, distance_mm, line_ends, straight
 from lscan.calibration.multiview.views import LinePoints
-from lscan.camera.boards import PosedBoards
-from lscan.camera.fit import CameraFit
+from lscan.camera.posedboards import PosedBoards
+from lscan.camera.resection import CameraFit
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask, select
 

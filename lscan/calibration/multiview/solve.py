@@ -11,8 +11,8 @@ from lscan.calibration.multiview.sheet import LaserPlane, NoLaserPlane, find_pla
 from lscan.calibration.multiview.usedviews import UnsolvedViews, UsedViews, fit_views, fitted_views
 from lscan.calibration.multiview.views import CalibrationView, FittedView, LinePoints
 from lscan.calibration.region import region_around
-from lscan.camera.parameters import COUNT, priors_of
-from lscan.camera.water import stated_water
+from lscan.camera.optics import stated_water
+from lscan.camera.posedboards import COUNT, priors_of
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import MeasurementError
 from lscan.records import Floats

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from lscan.camera.fit import CameraFit
+from lscan.camera.resection import CameraFit
 from lscan.records import Floats
 
 POOR = 1.2  # times the marks' own uncertainty, from which a misfit is looked into

@@ -8,18 +8,17 @@ import numpy as np
 from lscan.calibration.multiview.squareness import oblong_pixels
 from lscan.calibration.multiview.views import CalibrationView, FittedView
 from lscan.calibration.readings import found_on
-from lscan.camera.boards import PosedBoards
-from lscan.camera.fit import (
+from lscan.camera.posedboards import COUNT, CameraPriors, PosedBoards
+from lscan.camera.resection import (
     MEDIAN,
     BoardMarks,
     CameraFit,
+    best_start,
     chi_square,
     fit_boards,
     sound_marks,
     with_covariance,
 )
-from lscan.camera.parameters import COUNT, CameraPriors
-from lscan.camera.start import best_start
 from lscan.config.rig import OpticsSection
 from lscan.errors import MeasurementError
 from lscan.records import select

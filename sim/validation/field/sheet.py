@@ -14,7 +14,7 @@ from lscan.calibration.multiview.lines import distance_mm
 from lscan.calibration.multiview.solve import calibrate_metric
 from lscan.calibration.multiview.usedviews import fit_views
 from lscan.calibration.multiview.views import CalibrationView
-from lscan.camera.parameters import priors_of
+from lscan.camera.posedboards import priors_of
 from lscan.records import Floats, Marks, Status
 from lscan.stripe import extract_stripe
 from sim.datasets.views import held_scenes

@@ -9,14 +9,18 @@ from camera_strategies import FLAT_PORT, LENS
 from hypothesis import given, settings, strategies as st
 
 from lscan.camera import CameraModel, PortModel, rays
-from lscan.camera.boards import POSE, PosedBoards
-from lscan.camera.derivatives import (
+from lscan.camera.posedboards import (
+    CAMERA,
+    COUNT,
+    LENS as OF_LENS,
     OWN,
+    POSE,
+    PortKind,
+    PosedBoards,
     image_derivatives,
     on_board_derivatives,
     ray_derivatives,
 )
-from lscan.camera.parameters import CAMERA, COUNT, LENS as OF_LENS, PortKind
 from lscan.records import Floats
 
 CAMERAS = st.fixed_dictionaries(

@@ -4,10 +4,8 @@ import numpy as np
 from metricviews import paper_rig, poses, views_of
 
 from lscan.calibration.readings import found_on
-from lscan.camera.boards import PosedBoards
-from lscan.camera.fit import BoardMarks, _Problem, sound_marks
-from lscan.camera.parameters import priors_of
-from lscan.camera.start import posed_boards
+from lscan.camera.posedboards import PosedBoards, priors_of
+from lscan.camera.resection import BoardMarks, _Problem, posed_boards, sound_marks
 from lscan.config.rig import OpticsSection
 
 

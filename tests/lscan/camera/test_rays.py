@@ -7,7 +7,7 @@ from camera_strategies import FLAT_PORT, LENS
 from hypothesis import given, settings, strategies as st
 
 from lscan.camera import CameraModel, PortModel, project, rays
-from lscan.camera.lens import fold_radius
+from lscan.camera.optics import fold_radius
 from lscan.errors import InputError
 from lscan.records import Floats
 

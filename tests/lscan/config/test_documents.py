@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 from peak_memory import refused_within
 from places import SCENES
 
-from lscan.camera.parameters import LIMITS
+from lscan.camera.posedboards import LIMITS
 from lscan.config.board import Grid, load_board
 from lscan.config.documents import (
     MOST_FILES,

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from lscan.camera.lens import fold_radius, undistort
-from lscan.camera.model import CameraModel
+from lscan.camera.optics import CameraModel, fold_radius, undistort
 from lscan.records import Floats
 from sim.scene import Lens
 from sim.scene.distortion import is_folded

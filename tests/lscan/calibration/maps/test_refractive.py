@@ -21,7 +21,7 @@ from lscan.calibration.maps.refractive import NAMES, Refractive, solver
 from lscan.calibration.physical import change_modes
 from lscan.calibration.pixeltable import SHARE
 from lscan.calibration.solve import calibrate
-from lscan.camera.parameters import CENTRE_WIDTHS, FOCAL_WIDTHS
+from lscan.camera.posedboards import CENTRE_WIDTHS, FOCAL_WIDTHS
 from lscan.config.rig import OpticsSection, SinceSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, RulerReading, Status

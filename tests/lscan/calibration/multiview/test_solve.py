@@ -24,7 +24,7 @@ from lscan.board.chessboard import read_chessboard
 from lscan.calibration.multiview.solve import calibrate_camera, calibrate_metric
 from lscan.calibration.multiview.usedviews import fit_views
 from lscan.calibration.multiview.views import CalibrationView
-from lscan.camera.parameters import CAMERA, priors_of
+from lscan.camera.posedboards import CAMERA, priors_of
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError
 from lscan.files.pictures import read_picture

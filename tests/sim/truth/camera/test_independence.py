@@ -9,7 +9,7 @@ from camera_strategies import FLAT_PORT, LENS
 from hypothesis import assume, given, settings, strategies as st
 
 from lscan import camera as instrument
-from lscan.camera.lens import fold_radius as instruments_fold
+from lscan.camera.optics import fold_radius as instruments_fold
 from sim.scene import Lens, PlanePort, Pose
 from sim.truth.camera.projection import TrueCamera, fold_radius, image, rays_to
 

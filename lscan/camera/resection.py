@@ -1,22 +1,122 @@
-"""Camera, port and the poses of boards from marks seen in pictures: one solver for one and many.
+"""The covariance of fitted parameters, and the modes of error that it gives to a map."""
 
-Least squares over all parameters at once (Zhang, "A flexible new technique for camera
-calibration", IEEE PAMI 22 (2000), Sec. 3.2), with the flat port traced ray by ray.  The sum of
-squares is that of the marks' residuals in the picture over their standard uncertainties, and of
-the camera's departures from its priors over theirs.
-"""
-
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
-from lscan.camera.boards import POSE, PosedBoards
-from lscan.camera.covariance import covariance_root
-from lscan.camera.derivatives import image_derivatives
-from lscan.camera.parameters import COUNT, GREATEST, LEAST, CameraPriors
+from lscan.camera.optics import rays
+from lscan.camera.posedboards import (
+    COUNT,
+    FACING,
+    GREATEST,
+    LEAST,
+    POSE,
+    CameraPriors,
+    PortKind,
+    PosedBoards,
+    image_derivatives,
+    towards,
+)
 from lscan.records import Floats, Ints, Mask, select
+
+KEPT = 0.9999  # of the variance that the stored modes must account for
+MODE_STEP = 0.01  # sigmas, for differences along a mode: rounding is 1e-9, curvature less
+PIXEL_STEP = 0.01  # px, for differences of a map by the pixel
+
+Locate = Callable[[Floats], Floats]
+"""A map: (N, 2) mm of (x, z) in the sheet of pixels (N, 2); (N, 3) in space where said."""
+
+
+def covariance_root(design: Floats, chi_square: float) -> Floats:
+    """(P, P) square root of the covariance of P parameters.
+
+    The design's columns are brought to one length first, for parameters of all units.  The
+    covariance is scaled up by chi squared per degree of freedom where that is above 1.
+
+    Parameters
+    ----------
+    design : (N, P) array, derivatives of the weighted residuals
+    chi_square : float, sum of squares of the weighted residuals
+    """
+    scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    _, sizes, directions = np.linalg.svd(design / scale, full_matrices=False)
+    freedom = max(design.shape[0] - design.shape[1], 1)
+    root = (directions.T / np.maximum(sizes, 1e-12)) / scale[:, None]
+    return root * np.sqrt(max(1.0, chi_square / freedom))
+
+
+def displacements(
+    map_of: Callable[[Floats], Locate], theta: Floats, modes: Floats, image_px: Floats
+) -> Floats:
+    """(N, 2, M) mm by which one standard deviation of each mode moves the points of a map.
+
+    Parameters
+    ----------
+    map_of : callable, the map of parameters (K,)
+    theta : (K,) array, the parameters
+    modes : (K, M) array, changes of theta, each one standard deviation large
+    image_px : (N, 2) array, px, of (u, v)
+    """
+    moved = np.zeros((len(image_px), 2, modes.shape[1]))
+    for index, mode in enumerate(MODE_STEP * modes.T):
+        after, before = (map_of(theta + way)(image_px) for way in (mode, -mode))
+        moved[:, :, index] = (after - before) / (2 * MODE_STEP)
+    return moved
+
+
+def modes_that_matter(
+    map_of: Callable[[Floats], Locate], theta: Floats, root: Floats, image_px: Floats
+) -> Floats:
+    """(K, M) square root of a covariance, less what does not move the map.
+
+    The singular values of what the columns do to the points order them; those are kept that
+    together make KEPT of the variance there.
+
+    Parameters
+    ----------
+    map_of : callable, the map of parameters (K,)
+    theta : (K,) array, the parameters
+    root : (K, P) array, root @ root.T is their covariance
+    image_px : (N, 2) array, px, (u, v) where it counts
+    """
+    sigma = np.linalg.norm(root, axis=1, keepdims=True)
+    scaled = root / np.where(sigma > 0, sigma, 1.0)  # parameters of all units alike
+    u, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    compact = sigma * (u * sizes)  # K columns at most, the same covariance
+    moved = displacements(map_of, theta, compact, image_px)
+    moved = moved[np.isfinite(moved).all(axis=(1, 2))].reshape(-1, compact.shape[1])
+    _, sizes, directions = np.linalg.svd(moved, full_matrices=False)
+    share = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
+    return compact @ directions[: int(np.searchsorted(share, KEPT)) + 1].T
+
+
+def pixel_derivatives(locate: Locate, image_px: Floats) -> Floats:
+    """(N, 2, 2) mm per px of a map, the last axis by u and by v.
+
+    Parameters
+    ----------
+    locate : callable, the map: (N, 2) mm of (x, z) of pixels (N, 2)
+    image_px : (N, 2) array, px, of (u, v)
+    """
+    moved = [
+        (locate(image_px + step) - locate(image_px - step)) / (2 * PIXEL_STEP)
+        for step in PIXEL_STEP * np.eye(2)
+    ]
+    return np.stack(moved, axis=2)
+
+
+# Camera, port and the poses of boards from marks seen in pictures: one solver for one and many.
+#
+# Least squares over all parameters at once (Zhang, "A flexible new technique for camera
+# calibration", IEEE PAMI 22 (2000), Sec. 3.2), with the flat port traced ray by ray.  The sum of
+# squares is that of the marks' residuals in the picture over their standard uncertainties, and of
+# the camera's departures from its priors over theirs.
+
 
 WRONG = 6.0  # sigmas: one good mark in 6e7 is as far off (Rayleigh)
 MEDIAN = np.sqrt(2 * np.log(2))  # of the length of a residual of unit uncertainty (Rayleigh)
@@ -250,3 +350,90 @@ def with_covariance(
     root = np.zeros((len(boards.theta), design.shape[1]))
     root[problem.free] = covariance_root(design, chi_square(boards, used, priors))
     return CameraFit(boards, root, marks, good)
+
+
+# Where least squares begins: a pinhole in the water's stead.
+#
+# Behind a port, rays near the axis are those of a pinhole with water_index times the focal length.
+
+
+START_WIDTHS = (1.2, 0.7, 2.0)  # focal lengths over the width to start from where none is known
+START_PX = 10.0  # residuals above this count linearly while the start is sought
+EVALUATIONS = 15
+TOLERANCE = 1e-9  # relative change of the sum of squares
+
+
+def best_start(
+    marks: BoardMarks, priors: CameraPriors, port: PortKind, width: int
+) -> PosedBoards | None:
+    """Rough camera and poses; None where no board's marks are a picture of a plane.
+
+    The best of several, one for each focal length that may be.  The first that explains the
+    marks within their uncertainties is as good as any.
+
+    Parameters
+    ----------
+    marks : BoardMarks, mm on the boards, px in the pictures
+    priors : CameraPriors, what is known of the camera beforehand
+    port : str, "flat", or "none" for a camera in air
+    width : int, px, of the picture
+    """
+    focals = [priors.mean[0]] if priors.focal_given else [share * width for share in START_WIDTHS]
+    robust = START_PX / float(np.median(marks.sigma_px))
+    best, least = None, np.inf
+    for focal in focals:
+        posed = posed_boards(np.array([focal, *priors.mean[1:]]), port, marks)
+        if posed is None:
+            continue
+        tried = fit_within_limits(posed, marks, priors, TOLERANCE, robust, EVALUATIONS)
+        size = float(np.median(marks.lengths(tried)))
+        if size < least:
+            best, least = tried, size
+        if least < WRONG:
+            break
+    return best
+
+
+def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoards | None:
+    """The camera and the boards where a pinhole of its angle of view has them.
+
+    Each board's homography gives its pose.  None where the marks of a board give none.
+
+    Parameters
+    ----------
+    theta : (14 or more,) array, the camera in the order of parameters.CAMERA
+    port : str, "flat", or "none" for a camera in air
+    marks : BoardMarks, mm on the boards, px in the pictures
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000), Sec. 3.1.
+    """
+    alone = PosedBoards(theta[:COUNT], marks.board_mm.mean(axis=0), port)
+    poses = []
+    for number in range(int(marks.board.max()) + 1):
+        pose = _pose(alone, select(marks, marks.board == number))
+        if pose is None:
+            return None
+        poses.append(pose)
+    return PosedBoards(np.concatenate([alone.theta, *poses]), alone.centre_mm, port)
+
+
+def _pose(alone: PosedBoards, marks: BoardMarks) -> Floats | None:
+    """(6,) the pose of one board before a camera alone."""
+    centre_px, apparent = np.array(alone.camera.centre_px), alone.apparent_focal_px
+    plane = marks.board_mm - alone.centre_mm
+    homography, _ = cv2.findHomography(plane, (marks.image_px - centre_px) / apparent)
+    if homography is None:
+        return None
+    homography = homography / np.linalg.norm(homography[:, :2], axis=0).mean()
+    homography *= np.sign(homography[2, 2])
+    x, z, shift = homography.T
+    u, _, vt = np.linalg.svd(np.column_stack([x, np.cross(z, x), z]))
+    axes = u @ vt
+    seen = centre_px + apparent * shift[:2] / shift[2]
+    sight = rays(alone.camera, seen[None]).direction
+    if np.linalg.det(axes) < 0 or np.isnan(sight).any():
+        return None
+    turn = Rotation.from_matrix(towards(sight)[0].T @ axes @ FACING.T).as_rotvec()
+    return np.array([*turn, *seen, np.linalg.norm(shift) / apparent])
