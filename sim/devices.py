@@ -20,8 +20,7 @@ from pydantic import Field, PositiveFloat, model_validator
 from lscan.acquisition.samerig import require_same_files
 from lscan.config.documents import Strict, check, named_files
 from lscan.config.rig import Plan, RigFile, load_rig
-from lscan.devices.api import Fact, Grab, Track
-from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
+from lscan.devices.api import Fact, Grab, PassiveTrack, Track, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
 from sim.ahead import Ahead

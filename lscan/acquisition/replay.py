@@ -17,8 +17,7 @@ import numpy as np
 from lscan.acquisition.run import Run, open_run
 from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile
-from lscan.devices.api import Fact, Grab, Track
-from lscan.devices.travel import PassiveTrack
+from lscan.devices.api import Fact, Grab, PassiveTrack, Track
 from lscan.errors import DeviceError, InputError
 from lscan.records import Frame
 

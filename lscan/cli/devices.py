@@ -15,9 +15,8 @@ from lscan.cli.console import print_json, print_table, progress_bar
 if TYPE_CHECKING:
     from lscan.config.rig import RigFile
     from lscan.devices.api import Camera, Fact
-    from lscan.devices.trials.camera import CameraTrial
-    from lscan.devices.trials.photontransfer import PhotonTransfer
-    from lscan.devices.trials.track import TrackTrial
+    from lscan.devices.photontransfer import PhotonTransfer
+    from lscan.devices.trials import CameraTrial, TrackTrial
     from lscan.records import Bytes
 
 
@@ -108,8 +107,7 @@ def _try(
     """Open the rig's devices and try them out; the cap first, where the dark is wanted."""
     from lscan.acquisition.scan import open_devices
     from lscan.devices.api import LaserSwitch
-    from lscan.devices.trials.camera import try_camera
-    from lscan.devices.trials.track import try_track
+    from lscan.devices.trials import try_camera, try_track
 
     channel = rig_file.rig.stripe.colour
     dark_pictures = _dark_pictures(rig_file, pictures) if dark else None
@@ -126,7 +124,7 @@ def _try(
 def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
     """Pictures taken with the cap on; the prompts are on stderr, since stdout may be for JSON."""
     from lscan.acquisition.scan import open_devices
-    from lscan.devices.trials.camera import BlackAccepting, grab_series
+    from lscan.devices.trials import BlackAccepting, grab_series
 
     ask = partial(typer.prompt, default="", show_default=False, err=True)
     ask("put the cap on the lens, then press Enter")

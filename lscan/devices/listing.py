@@ -13,8 +13,7 @@ from lscan.config.plugins import find_entry, find_plugin, installed
 from lscan.config.rig import RigFile, drivers_of
 from lscan.devices.api import CapabilityReporting, Fact
 from lscan.devices.opencv_camera import Capture, OpencvOptions, open_capture
-from lscan.devices.opencv_camera.identity import ROOT, names_by_id
-from lscan.devices.opencv_camera.settings import fourcc_text
+from lscan.devices.opencv_camera.options import ROOT, fourcc_text, names_by_id
 from lscan.errors import InputError
 
 SIZES_PX = ((320, 240), (640, 480), (800, 600), (1280, 720), (1920, 1080), (3840, 2160))

@@ -12,8 +12,7 @@ from typing import Annotated
 from pydantic import Field
 
 from lscan.config.rig import RigFile
-from lscan.devices.api import Fact
-from lscan.devices.travel import PassiveTrack, TravelDriver, TravelOptions
+from lscan.devices.api import Fact, PassiveTrack, TravelDriver, TravelOptions
 from lscan.errors import DeviceError
 
 Ask = Callable[[str], str]

@@ -9,13 +9,11 @@ import time
 from collections.abc import Callable
 
 from lscan.config.rig import RigFile
-from lscan.devices.api import Fact
+from lscan.devices.api import Fact, TravelDriver
 from lscan.devices.grbl.controller import GrblMachine
-from lscan.devices.grbl.link import Link, Transport, open_serial
+from lscan.devices.grbl.machine import ROUNDING_MM, Link, SerialTrackOptions, Transport, open_serial
 from lscan.devices.grbl.marlin import MarlinMachine
-from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
 from lscan.devices.grbl.track import SerialTrack
-from lscan.devices.travel import TravelDriver
 
 __all__ = ["SerialTrack", "SerialTrackOptions", "open_track", "track_driver"]
 

@@ -13,11 +13,24 @@ from contextlib import suppress
 from typing import Final
 
 from lscan.devices.api import Fact
-from lscan.devices.grbl.dialogue import ASK_AGAIN_S, Dialogue
-from lscan.devices.grbl.link import Link
-from lscan.devices.grbl.machine import AxisTravel, Restarted, Unanswered, agreed, asked
-from lscan.devices.grbl.options import SerialTrackOptions
-from lscan.devices.grbl.protocol import AXES, Banner, Feedback, GrblSetting, StatusReport
+from lscan.devices.grbl.dialogue import (
+    ASK_AGAIN_S,
+    AXES,
+    Banner,
+    Dialogue,
+    Feedback,
+    GrblSetting,
+    StatusReport,
+)
+from lscan.devices.grbl.machine import (
+    AxisTravel,
+    Link,
+    Restarted,
+    SerialTrackOptions,
+    Unanswered,
+    agreed,
+    asked,
+)
 from lscan.errors import DeviceError
 
 _log = logging.getLogger(__name__)

@@ -1,20 +1,227 @@
-"""What the controllers of a track have in common, whatever language they speak.
-
-Every line is answered before the next is sent.
-
-A serial line carries no checksum: whatever a position rests on is read until two readings
-in a row agree.
-"""
+"""``[track.options]`` of the serial track, checked before any device is touched."""
 
 import contextlib
 import math
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Generic, TypeVar
+from typing import Annotated, Final, Generic, Literal, Protocol, TypeVar
 
-from lscan.devices.grbl.link import Link
+from pydantic import Field
+
+from lscan.devices.api import TravelOptions
 from lscan.errors import DeviceError
+
+Place = Annotated[float, Field(ge=-100_000, le=100_000)]
+ROUNDING_MM: Final = 0.0005
+"""Half of the last of three decimals, with which coordinates go over the line."""
+
+
+class SerialTrackOptions(TravelOptions):
+    """The track's port, its frame and how it moves.
+
+    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``.  dtr: whether its lines DTR and RTS
+    are raised while it is open, which holds some boards in reset.  min_mm, max_mm: positions the
+    head may be sent to; the approach needs ``approach_mm`` of free way below min_mm.
+    zero_mm: the machine coordinate where the position is 0; invert: positions grow where
+    machine coordinates fall.  approach_mm: every position is reached upwards, over at least
+    this way, so that backlash is taken up; 0: from wherever the head stands.
+    tolerance_mm: how far from its target the head may report to have stopped.
+    settle_s: rest before a picture.  homing: search the switches on opening; without it the
+    machine's zero is where the head stood when the controller started, and any restart moves it.
+    boot_s, answer_s, homing_s: how long a start, an answer, a homing may take.  write_s: how
+    long the port may take to accept a line; longer where a busy computer or an adapter holds it up.
+    laser_power: S word of M3.
+    """
+
+    port: Annotated[str, Field(min_length=1)]
+    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115_200
+    dtr: bool = True
+    dialect: Literal["grbl", "marlin"] = "grbl"
+    axis: Literal["X", "Y", "Z"] = "X"
+    min_mm: Place
+    max_mm: Place
+    zero_mm: Place = 0.0
+    invert: bool = False
+    feed_mm_min: Annotated[float, Field(gt=0, le=60_000)] = 500.0
+    approach_mm: Annotated[float, Field(ge=0, le=100)] = 1.0
+    tolerance_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
+    settle_s: Annotated[float, Field(ge=0, le=60)] = 0.2
+    homing: bool = True
+    boot_s: Annotated[float, Field(ge=0, le=30)] = 3.0
+    answer_s: Annotated[float, Field(gt=0, le=60)] = 2.0
+    homing_s: Annotated[float, Field(gt=0, le=600)] = 60.0
+    write_s: Annotated[float, Field(gt=0, le=60)] = 5.0
+    laser_power: Annotated[float, Field(ge=0, le=100_000)] = 1000.0
+
+    def machine_mm(self, position_mm: float) -> float:
+        """Machine coordinate, mm.
+
+        Parameters
+        ----------
+        position_mm : float, mm, of the track
+        """
+        return self.zero_mm + (-position_mm if self.invert else position_mm)
+
+    def position_mm(self, machine_mm: float) -> float:
+        """Position of the track, mm.
+
+        Parameters
+        ----------
+        machine_mm : float, mm, machine coordinate
+        """
+        offset_mm = machine_mm - self.zero_mm
+        return -offset_mm if self.invert else offset_mm
+
+
+# Lines over a serial port: sent whole, read until a deadline, noise skipped and counted.
+
+
+LONGEST_LINE: Final = 70  # Grbl 1.1's own limit is 80 with the line end, Marlin's 96
+LONGEST_ANSWER: Final = 1024  # Marlin's M115 takes some 300; more without an end is noise
+
+
+class Transport(Protocol):
+    """What is asked of a serial port; pyserial's ``Serial`` has it."""
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that have come and were not read."""
+
+    def read(self, size: int, /) -> bytes:
+        """Up to ``size`` bytes, fewer or none after a short while.  OSError: line broken."""
+
+    def write(self, data: bytes, /) -> int | None:
+        """Send bytes.  OSError: line broken."""
+
+    def close(self) -> None:
+        """Release the port."""
+
+
+def open_serial(port: str, baud: int, name: str, write_s: float, dtr: bool = True) -> Transport:
+    """The serial port, opened for this program alone; DeviceError where it cannot be.
+
+    write_s: how long it may take to accept what is sent.  dtr: whether its lines DTR and RTS are
+    raised while it is open.
+    """
+    try:
+        import serial
+    except ImportError:
+        raise DeviceError(f"{name}: needs the package pyserial; install it") from None
+    try:
+        line = serial.Serial(None, baud, timeout=0.01, write_timeout=write_s, exclusive=True)
+        line.port, line.dtr, line.rts = port, dtr, dtr  # before it opens: that would raise both
+        line.open()
+        return line
+    except (OSError, ValueError) as error:
+        raise DeviceError(
+            f"{name}: {port!r} cannot be opened at {baud} baud: {error}; check the cable, the "
+            "port's name, that no other program holds it, and that you may use it (group dialout)"
+        ) from error
+
+
+class Link:
+    """A serial line on which whole lines are exchanged.
+
+    name: how messages call the device.  write_s: how long the transport waits until what is sent
+    is accepted.  noise_bytes: bytes skipped so far because they were
+    part of no readable line.  clock, sleep: the time, for a line in simulated time.
+    """
+
+    def __init__(
+        self,
+        transport: Transport,
+        name: str,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+        write_s: float = math.inf,
+    ) -> None:
+        self._write_s = write_s
+        self.name, self.clock, self.sleep = name, clock, sleep
+        self.noise_bytes = 0
+        self._transport = transport
+        self._received = bytearray()
+
+    def send(self, text: str) -> None:
+        """Send one line; DeviceError where it is too long or the line is broken."""
+        if len(text) >= LONGEST_LINE:
+            raise DeviceError(
+                f"{self.name}: {text!r} is {len(text) + 1} characters with its end; "
+                f"allowed: {LONGEST_LINE}"
+            )
+        self.send_bytes(text.encode("ascii") + b"\n")
+
+    def send_bytes(self, data: bytes) -> None:
+        """Send bytes as they are, such as Grbl's one-byte real-time commands."""
+        try:
+            self._transport.write(data)
+        except OSError as error:
+            raise self._broken(error) from error
+
+    def line(self, deadline_s: float) -> str | None:
+        """The next readable line without its end; None where none is whole by the deadline.
+
+        deadline_s: on this link's clock.
+        """
+        while True:
+            while (end := self._received.find(b"\n")) >= 0:
+                raw = bytes(self._received[:end])
+                del self._received[: end + 1]
+                if (text := self._readable(raw)) is not None:
+                    return text
+            if len(self._received) > LONGEST_ANSWER:
+                self.noise_bytes += len(self._received)
+                self._received.clear()
+            if self.clock() >= deadline_s:
+                return None
+            try:
+                self._received += self._transport.read(max(1, self._transport.in_waiting))
+            except OSError as error:
+                raise self._broken(error) from error
+
+    def skip(self, text: str) -> None:
+        """Count a line that says nothing known as noise."""
+        self.noise_bytes += len(text) + 1
+
+    def close(self) -> None:
+        """Release the port; a broken one is as good as closed."""
+        with contextlib.suppress(OSError):
+            self._transport.close()
+
+    def _readable(self, raw: bytes) -> str | None:
+        """The line, freed of noise before it; None where it is empty or has noise within."""
+        stripped = raw.strip(b"\r\t ")
+        first = next((i for i, byte in enumerate(stripped) if 0x20 <= byte < 0x7F), len(stripped))
+        kept = stripped[first:]
+        if kept.isascii() and (text := kept.decode("ascii")).isprintable():
+            self.noise_bytes += first
+            return text or None
+        self.noise_bytes += len(raw) + 1
+        return None
+
+    def _broken(self, error: OSError) -> DeviceError:
+        import serial  # here, as in open_serial: only a real port needs the package
+
+        if isinstance(error, serial.SerialTimeoutException):
+            return DeviceError(
+                f"{self.name}: the port accepted nothing for {self._write_s:g} s; the adapter or "
+                "the controller hangs, or the computer was held up: switch the controller off and "
+                "on, or raise track.options.write_s, then open the track again"
+            )
+        return DeviceError(
+            f"{self.name}: the serial line broke ({error}); check the cable and the controller's "
+            "power, then open the track again"
+        )
+
+
+# What the controllers of a track have in common, whatever language they speak.
+#
+# Every line is answered before the next is sent.
+#
+# A serial line carries no checksum: whatever a position rests on is read until two readings
+# in a row agree.
+
 
 READINGS: Final = 8
 """Readings of which two in a row must agree; a clean line needs two."""

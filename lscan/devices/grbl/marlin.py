@@ -9,9 +9,15 @@ import secrets
 from typing import Final
 
 from lscan.devices.api import Fact
-from lscan.devices.grbl.link import Link
-from lscan.devices.grbl.machine import AxisTravel, Exchange, Unanswered, agreed, asked
-from lscan.devices.grbl.options import SerialTrackOptions
+from lscan.devices.grbl.machine import (
+    AxisTravel,
+    Exchange,
+    Link,
+    SerialTrackOptions,
+    Unanswered,
+    agreed,
+    asked,
+)
 from lscan.errors import DeviceError
 
 STEP_MM: Final = 0.01

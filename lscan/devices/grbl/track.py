@@ -5,12 +5,10 @@ import logging
 import math
 from collections.abc import Iterator
 
-from lscan.devices.api import LASER_MAY_BE_LIT, Fact
+from lscan.devices.api import LASER_MAY_BE_LIT, Fact, require_reachable
 from lscan.devices.grbl.controller import GrblMachine
-from lscan.devices.grbl.link import Link
+from lscan.devices.grbl.machine import ROUNDING_MM, Link, SerialTrackOptions
 from lscan.devices.grbl.marlin import MarlinMachine
-from lscan.devices.grbl.options import ROUNDING_MM, SerialTrackOptions
-from lscan.devices.travel import require_reachable
 from lscan.errors import DeviceError
 
 _CLOSED = "is closed"

@@ -11,11 +11,9 @@ In place of ``device``, a number or a path such as "/dev/video0": ``url`` of a s
 ``file``, a video.  All options: :class:`OpencvOptions`.
 """
 
-from lscan.devices.opencv_camera.camera import OpencvCamera
-from lscan.devices.opencv_camera.driver import camera_driver
-from lscan.devices.opencv_camera.opening import open_capture
-from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOptions
-from lscan.devices.opencv_camera.settings import Setting
+from lscan.devices.opencv_camera.camera import OpencvCamera, camera_driver
+from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOptions, Setting
+from lscan.devices.opencv_camera.reader import open_capture
 
 __all__ = [
     "Capture",

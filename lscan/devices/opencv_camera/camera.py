@@ -2,21 +2,26 @@
 
 import logging
 import math
+import os
 import threading
 import time
 
 import cv2
 import numpy as np
 
-from lscan.config.rig import CameraSection
-from lscan.devices.api import LONGEST_GRAB_S, Grab
-from lscan.devices.opencv_camera.identity import device_identity
-from lscan.devices.opencv_camera.jpegfile import is_whole
-from lscan.devices.opencv_camera.opening import open_capture
-from lscan.devices.opencv_camera.options import OpenCapture, OpencvOptions
-from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture
-from lscan.devices.opencv_camera.settings import Setting, Settings
-from lscan.errors import DeviceError
+from lscan.config.documents import check
+from lscan.config.rig import CameraSection, RigFile
+from lscan.devices.api import LONGEST_GRAB_S, Fact, Grab, Track
+from lscan.devices.opencv_camera.jpeg import is_whole
+from lscan.devices.opencv_camera.options import (
+    OpenCapture,
+    OpencvOptions,
+    Setting,
+    Settings,
+    device_identity,
+)
+from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture, open_capture
+from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
 
 SLOWEST_S = 0.2
@@ -302,3 +307,58 @@ def _rgb(image: Bytes) -> Bytes:
     if image.ndim == 2:
         return image.copy()
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+# The driver of the entry point ``opencv``: checks the options, opens the camera.
+
+
+class OpencvCameraDriver:
+    """Registered as "opencv" under ``lscan.cameras``."""
+
+    sections: frozenset[str] = frozenset()
+    takes_dark = True
+    connection_options = frozenset(
+        {"device", "url", "timeout_s", "retries", "reconnects", "reconnect_wait_s"}
+    )
+
+    def validate(self, rig_file: RigFile) -> None:
+        """Check the options, and that a video file is there, touching no device: InputError.
+
+        A video was taken without the laser being switched for it: it serves no pairs.
+        """
+        options = self._options(rig_file)
+        if rig_file.rig.plan.paired and not options.live:
+            raise InputError(
+                "a video file does not see the laser being switched",
+                where=f"{rig_file.source}: plan.laser",
+                value=rig_file.rig.plan.laser,
+                allowed="untouched, on; or a camera.options.device or url",
+            )
+
+    def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
+        """Where its pictures come from, and whether its exposure can be set."""
+        options = self._options(rig_file)
+        kind = "device" if options.device is not None else "url" if options.url else "file"
+        return {
+            kind: str(getattr(options, kind)),
+            "exposure_settable": options.exposure_settable,
+        }
+
+    def open(self, rig_file: RigFile, track: Track) -> OpencvCamera:
+        """The camera, ready to grab; DeviceError where it is not as the rig file says."""
+        return OpencvCamera(rig_file.rig.camera, self._options(rig_file))
+
+    def _options(self, rig_file: RigFile) -> OpencvOptions:
+        section, where = rig_file.rig.camera, rig_file.source
+        options = check(OpencvOptions, section.options, where=where, prefix="camera.options")
+        if options.file is not None and not os.path.isfile(options.file):  # noqa: PTH113
+            raise InputError(
+                "camera.options.file: no such file",
+                where=where,
+                value=options.file,
+                allowed="a video, its path counted from the rig file's folder",
+            )
+        return options
+
+
+camera_driver = OpencvCameraDriver()

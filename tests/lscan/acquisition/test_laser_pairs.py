@@ -453,7 +453,7 @@ def test_a_track_that_cannot_is_refused_by_key(tmp_path: Path, laser: str) -> No
 def test_a_camera_that_knows_no_dark_pictures_is_refused_for_pairs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lscan.devices.opencv_camera.driver import camera_driver
+    from lscan.devices.opencv_camera.camera import camera_driver
 
     monkeypatch.delattr(type(camera_driver), "takes_dark")
     with pytest.raises(InputError, match=r"plan\.laser: .*'opencv'.*allowed: untouched, on\)"):

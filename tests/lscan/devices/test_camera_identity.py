@@ -13,7 +13,7 @@ from lscan.acquisition.writer import create_run, resume_run
 from lscan.config.rig import CameraSection
 from lscan.devices.listing import video_devices
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
-from lscan.devices.opencv_camera.identity import device_identity
+from lscan.devices.opencv_camera.options import device_identity
 from lscan.errors import DeviceError
 
 FIRST, SECOND = "usb-046d_HD_Pro_Webcam_C920_4A5B6C7D", "usb-046d_HD_Pro_Webcam_C920_00000001"

@@ -18,7 +18,7 @@ from lscan.config.rig import CameraSection, RigFile, load_rig, parse_rig
 from lscan.devices.api import Fact, Grab
 from lscan.devices.listing import rig_devices
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
-from lscan.devices.trials.camera import try_camera
+from lscan.devices.trials import try_camera
 from lscan.records import Frame
 
 NOWHERE = "/nowhere/that/exists"
@@ -161,7 +161,7 @@ def deaf_to_gain(property_id: int, value: float) -> float:
 def test_settings_are_listed_and_the_ignored_marked(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lscan.devices.opencv_camera.settings.AGAIN_WAIT_S", 0.0)
+    monkeypatch.setattr("lscan.devices.opencv_camera.options.AGAIN_WAIT_S", 0.0)
     section = CameraSection(driver="opencv", width_px=WIDTH_PX, height_px=HEIGHT_PX)
     options = OpencvOptions(device=0, gain=30, focus=12, warm_up_frames=0)
     camera = OpencvCamera(section, options, World(obeys=deaf_to_gain).open)

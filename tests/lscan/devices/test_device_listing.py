@@ -20,8 +20,8 @@ from lscan.devices import listing
 from lscan.devices.api import Grab
 from lscan.devices.listing import drivers, serial_ports, video_devices
 from lscan.devices.opencv_camera import OpencvOptions
-from lscan.devices.trials.camera import grab_series, noise_section, try_camera
-from lscan.devices.trials.photontransfer import ROUNDING_DN
+from lscan.devices.photontransfer import ROUNDING_DN
+from lscan.devices.trials import grab_series, noise_section, try_camera
 from lscan.errors import DeviceError, InputError
 
 GAIN, READ_DN, FULL_MS = 0.1, 1.2, 20.0

@@ -18,13 +18,20 @@ from hypothesis import given, settings, strategies as st
 from loopback import listening
 
 from lscan.config.rig import CameraSection
-from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions, jpegstream, open_capture
-from lscan.devices.opencv_camera.jpegfile import decoded, is_whole, jpeg_file
-from lscan.devices.opencv_camera.jpegstream import (
+from lscan.devices.opencv_camera import (
+    OpencvCamera,
+    OpencvOptions,
+    jpeg as jpegstream,
+    open_capture,
+)
+from lscan.devices.opencv_camera.jpeg import (
     LEAST_WAIT_S,
     MOST_BROKEN,
     MOST_WAITING,
     JpegStream,
+    decoded,
+    is_whole,
+    jpeg_file,
 )
 from lscan.errors import DeviceError
 from lscan.records import Bytes

@@ -8,9 +8,8 @@ import pytest
 
 from lscan.cli import devices as devices_cli
 from lscan.devices.api import Grab
-from lscan.devices.trials.camera import CameraTrial, noise_section, try_camera
-from lscan.devices.trials.photontransfer import ROUNDING_DN, Levels, photon_transfer
-from lscan.devices.trials.track import Repeatability, TrackTrial
+from lscan.devices.photontransfer import ROUNDING_DN, Levels, photon_transfer
+from lscan.devices.trials import CameraTrial, Repeatability, TrackTrial, noise_section, try_camera
 from lscan.records import Bytes
 
 SHAPE = 96, 128

@@ -18,7 +18,7 @@ from lscan.acquisition.scan import scan
 from lscan.config.rig import CameraSection, parse_rig
 from lscan.devices.api import Previewing
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions, Setting, camera_driver
-from lscan.devices.opencv_camera.settings import fourcc_text
+from lscan.devices.opencv_camera.options import fourcc_text
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
 
@@ -243,7 +243,7 @@ def test_an_obedient_camera_reports_all_it_was_asked() -> None:
 def test_a_camera_that_ignores_a_setting_is_reported(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lscan.devices.opencv_camera.settings.AGAIN_WAIT_S", 0.0)
+    monkeypatch.setattr("lscan.devices.opencv_camera.options.AGAIN_WAIT_S", 0.0)
 
     def keeps_exposure(property_id: int, value: float) -> float:
         return 156.0 if property_id == cv2.CAP_PROP_EXPOSURE else value
@@ -261,7 +261,7 @@ def test_a_camera_that_ignores_a_setting_is_reported(
 def test_a_value_refused_while_an_automatic_ends_is_set_again(
     refusals: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("lscan.devices.opencv_camera.settings.AGAIN_WAIT_S", 0.0)
+    monkeypatch.setattr("lscan.devices.opencv_camera.options.AGAIN_WAIT_S", 0.0)
     held = {cv2.CAP_PROP_FOCUS: 250.0, cv2.CAP_PROP_WB_TEMPERATURE: 6500.0}
     tries: dict[int, int] = {}
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings, strategies as st
 from peak_memory import refused_within
 from png_files import HUGE, chunk, grey_png
 
-from lscan.devices.opencv_camera.jpegstream import decoded
+from lscan.devices.opencv_camera.jpeg import decoded
 from lscan.errors import DeviceError, InputError
 from lscan.files import pictures
 from lscan.files.pictures import MOST_PX, PictureHeader, read_header, read_picture, write_picture

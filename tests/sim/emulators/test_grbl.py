@@ -3,7 +3,7 @@
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.devices.grbl.protocol import StatusReport, parse_line
+from lscan.devices.grbl.dialogue import StatusReport, parse_line
 from sim.emulators.grbl import GrblEmulator, SimulatedTime
 from sim.emulators.grbl.motion import Ramp
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
-from lscan.devices.grbl.link import Link, open_serial
-from lscan.devices.grbl.machine import ASKINGS
+from lscan.devices.grbl.machine import ASKINGS, Link, open_serial
 from lscan.errors import DeviceError
 from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, PseudoTerminal, SimulatedTime
 

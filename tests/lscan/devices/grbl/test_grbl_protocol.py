@@ -3,8 +3,7 @@
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.devices.grbl.link import LONGEST_ANSWER, Link
-from lscan.devices.grbl.protocol import (
+from lscan.devices.grbl.dialogue import (
     CODES,
     Alarm,
     Banner,
@@ -17,6 +16,7 @@ from lscan.devices.grbl.protocol import (
     parse_line,
     parse_status,
 )
+from lscan.devices.grbl.machine import LONGEST_ANSWER, Link
 from lscan.errors import DeviceError
 
 # ---- documented examples (Grbl 1.1 "Interface Basics") ----------------------------------

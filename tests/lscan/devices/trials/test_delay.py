@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from lscan.devices import trials as delay
 from lscan.devices.api import Grab
-from lscan.devices.trials import delay
-from lscan.devices.trials.delay import SWITCHES, picture_delay
+from lscan.devices.trials import SWITCHES, picture_delay
 from lscan.errors import DeviceError, MeasurementError
 
 SWITCH_S = 0.004

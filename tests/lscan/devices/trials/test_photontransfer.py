@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.devices.trials.photontransfer import (
+from lscan.devices.photontransfer import (
     ROUNDING_DN,
     Levels,
     dark_level,

@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 
 from lscan.devices.api import Describing, Track
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
-from lscan.devices.trials.track import repeatability, try_track
+from lscan.devices.trials import repeatability, try_track
 from lscan.errors import DeviceError, InputError
 from sim.emulators.grbl import DirectLine, GrblEmulator, MarlinEmulator, SimulatedTime
 

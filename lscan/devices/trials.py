@@ -1,5 +1,7 @@
 """Trying out a rig's camera: what it made of its settings, timing, noise, linearity."""
 
+import math
+import statistics
 import time
 from dataclasses import dataclass
 from functools import reduce
@@ -11,10 +13,9 @@ import numpy as np
 from scipy.special import chdtri
 
 from lscan.config.rig import Channel
-from lscan.devices.api import Camera, LaserSwitch, Previewing
-from lscan.devices.opencv_camera.settings import Setting
-from lscan.devices.trials.delay import Delay, picture_delay
-from lscan.devices.trials.photontransfer import (
+from lscan.devices.api import Camera, Describing, Fact, LaserSwitch, Limited, Previewing, Track
+from lscan.devices.opencv_camera.options import Setting
+from lscan.devices.photontransfer import (
     LINEAR_DN,
     Levels,
     Linearity,
@@ -25,8 +26,132 @@ from lscan.devices.trials.photontransfer import (
     linearity,
     photon_transfer,
 )
-from lscan.errors import InputError, MeasurementError
+from lscan.errors import DeviceError, InputError, MeasurementError
 from lscan.records import Bytes, Floats, Progress
+
+# How late a camera's pictures come: from a change in view to the picture that shows it.
+#
+# What a camera, its encoder, the network and the decoder hold back cannot be seen in the pictures,
+# nor in their time stamps, which begin at an arbitrary moment.  A change whose time is known shows
+# it: the laser is switched, and the first picture of it awaited.
+
+
+SWITCHES = 10
+SETTLED_S = 6.0
+"""After it every picture shows the laser as it stands; an encoder that looks 40 pictures ahead at
+12 a second holds back 3.3 s."""
+
+REFERENCES = 4
+SPREAD_S = 0.1
+"""Over which the switchings are spread, so that they meet exposures at every phase."""
+
+LONGEST_S = 10.0
+LEAST_DN = 20.0
+"""By which the laser must change the brightest pixel, of the sum of its colours."""
+
+SHOWN = 0.9
+"""Part of the change at which a picture shows it: one half exposed before it does not."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """From the laser's switching to the picture that shows it.
+
+    longest_ms, median_ms: of so many switches.
+    flush_ms: what to state as ``camera.options.flush_ms``, the longest and a margin.  Of so few
+    switches the longest alone would be exceeded by one picture in ``switches + 1``, whatever the
+    distribution.  The margin is the longest time between two pictures of the hundreds taken while
+    the laser stands: a picture held back by so much more than its predecessor lengthens it by as
+    much, and the period that is in it too is above the tenth of an exposure that SHOWN leaves out.
+    """
+
+    longest_ms: float
+    median_ms: float
+    switches: int
+    flush_ms: int
+
+
+def picture_delay(
+    camera: Previewing, laser: LaserSwitch, progress: Progress | None = None
+) -> Delay:
+    """How late the pictures come; the laser is off at the end.
+
+    The time that the switch itself takes is in it, so that it is too long rather than too short.
+
+    Parameters
+    ----------
+    camera : Previewing
+        Which sees the laser's line, at rest.
+    laser : LaserSwitch
+        Of the track.
+    progress : callable, optional
+        Called with the number of switches done, and of all.
+
+    Raises
+    ------
+    MeasurementError
+        Where the pictures do not show the laser switched.
+    DeviceError
+        Where a device fails.
+    """
+    try:
+        (off, gap_off_s), (on, gap_on_s) = (_settled(camera, laser, lit) for lit in (False, True))
+        change = on - off
+        most_dn = np.abs(change).max()
+        if most_dn < LEAST_DN:
+            raise MeasurementError(
+                "delay: no picture shows the laser switched; let the camera see its line"
+            )
+        line = np.where(np.abs(change) >= most_dn / 2, change, 0.0)  # not what else changes a bit
+        weight = line / (line**2).sum()
+        delays_ms = []
+        for number in range(SWITCHES):
+            time.sleep(SPREAD_S * number / SWITCHES)
+            lit = number % 2 == 1  # it stands lit at first
+            delays_ms.append(1000 * _delay_s(camera, laser, lit, off, weight))
+            if progress is not None:
+                progress(number + 1, SWITCHES)
+    finally:
+        laser.laser_off()
+    flush_ms = math.ceil(max(delays_ms) + 1000 * max(gap_off_s, gap_on_s))
+    return Delay(max(delays_ms), statistics.median(delays_ms), SWITCHES, flush_ms)
+
+
+def _delay_s(
+    camera: Previewing, laser: LaserSwitch, lit: bool, off: Floats, weight: Floats
+) -> float:
+    began_s = time.monotonic()
+    _switch(laser, lit)
+    while time.monotonic() < began_s + LONGEST_S:
+        part = float(((_grey(camera) - off) * weight).sum())
+        if part >= SHOWN if lit else part <= 1 - SHOWN:
+            return time.monotonic() - began_s
+    raise MeasurementError(f"delay: the laser's switching is not shown within {LONGEST_S:g} s")
+
+
+def _settled(camera: Previewing, laser: LaserSwitch, lit: bool) -> tuple[Floats, float]:
+    """The mean of some pictures that show the laser so, (H, W); the longest wait for one, s."""
+    _switch(laser, lit)
+    came_s = [time.monotonic()]
+    while came_s[-1] < came_s[0] + SETTLED_S:
+        camera.preview()
+        came_s.append(time.monotonic())
+    mean = np.asarray(np.mean([_grey(camera) for _ in range(REFERENCES)], axis=0))
+    return mean, float(np.diff(came_s).max())
+
+
+def _switch(laser: LaserSwitch, lit: bool) -> None:
+    laser.laser_on() if lit else laser.laser_off()
+
+
+def _grey(camera: Previewing) -> Floats:
+    """The sum of the colours of the next picture, (H, W)."""
+    image = camera.preview().image.astype(float)
+    return image if image.ndim == 2 else np.asarray(image.sum(axis=2))
+
+
+# Trying out a rig's camera: what it made of its settings, timing, noise, linearity.
+
 
 FEWEST_PICTURES = 4
 """Two pairs: one to sort pixels by grey value, one to measure them."""
@@ -327,3 +452,155 @@ def _one_colour(image: Bytes, channel: Channel) -> Bytes:
     if channel == "grey":
         return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
     return image[:, :, _COLOURS[channel]]
+
+
+# Trying out a rig's track: moves from both sides, each timed, and how well they repeat.
+
+
+FEWEST_APPROACHES = 2
+"""From either side: a standard deviation needs two."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """One move of the track: sent to commanded_mm, it reports reported_mm after time_s."""
+
+    commanded_mm: float
+    reported_mm: float
+    time_s: float
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """How well a place is found again, as the track itself reports it; after ISO 230-2.
+
+    place_mm: where it was sent to, ``approaches`` times from either side.
+    deviation_mm: mean of reported less commanded, over all approaches.
+    upward_sigma_mm, downward_sigma_mm: standard deviations of the position reported after an
+    approach from below, and from above.  reversal_mm: mean after approaches from below less
+    mean after those from above.
+    What the track does not see, a motor that lost steps or a loose belt, shows in none of them.
+    """
+
+    place_mm: float
+    approaches: int
+    deviation_mm: float
+    upward_sigma_mm: float
+    downward_sigma_mm: float
+    reversal_mm: float
+
+
+@dataclass(frozen=True)
+class TrackTrial:
+    """What a track turned out to be.
+
+    Attributes
+    ----------
+    facts : dict, what it says of itself after the moves; none, where it is not :class:`Describing`
+    repeatability : Repeatability, of the approaches, mm
+    moves : tuple, all of them in their order, the last back to where it stood, or as near as it is
+        sent
+    """
+
+    facts: dict[str, Fact]
+    repeatability: Repeatability
+    moves: tuple[Move, ...]
+
+
+def try_track(
+    track: Track, approaches: int = 5, step_mm: float = 1.0, progress: Progress | None = None
+) -> TrackTrial:
+    """Approaches to one place from ``step_mm`` below and above it, in turn, and the way back.
+
+    The place is where the head stands, or so near as to leave ``step_mm`` within the limits on
+    either side; on a track shorter than that, its middle.  One that states no limits is tried.
+
+    Parameters
+    ----------
+    track : Track
+        Ready to move.
+    approaches : int
+        How many from either side, 2 or more.
+    step_mm : float
+        Length of each approach, mm, above 0.
+    progress : callable, optional
+        Called with the number of moves done, and of all.
+
+    Returns
+    -------
+    TrackTrial
+        Positions in mm as the track reports them, times in s.
+
+    Raises
+    ------
+    InputError
+        For too few approaches, or a step that is not above 0.
+    DeviceError
+        Where the track fails.
+    """
+    if approaches < FEWEST_APPROACHES:
+        raise InputError(
+            "too few approaches to measure how they repeat",
+            value=approaches,
+            allowed=f"{FEWEST_APPROACHES} or more",
+        )
+    if not step_mm > 0:
+        raise InputError("the step must be above 0 mm", value=step_mm)
+    stood_mm = track.position_mm
+    place_mm = _place_mm(track, stood_mm, step_mm)
+    way_mm = [place_mm - step_mm, place_mm, place_mm + step_mm, place_mm] * approaches
+    way_mm.append(stood_mm)
+    moves: list[Move] = []
+    for target_mm in way_mm:
+        to_mm, began_s = _allowed_mm(track, target_mm), time.monotonic()
+        reported_mm = track.move_to(to_mm)
+        moves.append(Move(to_mm, reported_mm, time.monotonic() - began_s))
+        if progress is not None:
+            progress(len(moves), len(way_mm))
+    return TrackTrial(
+        facts=track.describe() if isinstance(track, Describing) else {},
+        repeatability=repeatability(
+            place_mm,
+            [move.reported_mm for move in moves[1:-1:4]],
+            [move.reported_mm for move in moves[3:-1:4]],
+        ),
+        moves=tuple(moves),
+    )
+
+
+def repeatability(
+    place_mm: float, upward_mm: list[float], downward_mm: list[float]
+) -> Repeatability:
+    """From the positions in mm reported at one place, equally many from below and from above.
+
+    ISO 230-2: estimators of unidirectional repeatability, with n - 1, and reversal value.
+    """
+    return Repeatability(
+        place_mm=place_mm,
+        approaches=len(upward_mm),
+        deviation_mm=statistics.fmean([*upward_mm, *downward_mm]) - place_mm,
+        upward_sigma_mm=statistics.stdev(upward_mm),
+        downward_sigma_mm=statistics.stdev(downward_mm),
+        reversal_mm=statistics.fmean(upward_mm) - statistics.fmean(downward_mm),
+    )
+
+
+def _place_mm(track: Track, stood_mm: float, step_mm: float) -> float:
+    """The place nearest to where the head stands that has ``step_mm`` of way on either side."""
+    if isinstance(track, Limited):
+        return _allowed_mm(track, stood_mm, step_mm)
+    for side_mm in (step_mm, -step_mm):
+        try:
+            track.move_to(stood_mm + side_mm)
+        except DeviceError:
+            return stood_mm - side_mm
+    return stood_mm
+
+
+def _allowed_mm(track: Track, position_mm: float, margin_mm: float = 0.0) -> float:
+    """The position nearest to one, ``margin_mm`` within the limits: homing ends beyond them."""
+    if not isinstance(track, Limited):
+        return position_mm
+    low_mm, high_mm = track.limits_mm
+    margin_mm = min(margin_mm, (high_mm - low_mm) / 2)
+    return min(max(position_mm, low_mm + margin_mm), high_mm - margin_mm)

@@ -1,1 +1,0 @@
-"""Trials of a camera and of a track: what they can do, measured."""
