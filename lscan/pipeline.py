@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.acquisition.inorder import cores, in_order
 from lscan.acquisition.run import Run
+from lscan.acquisition.scan import cores, in_order
 from lscan.board import read_board
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.carry import carried

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 import numpy as np
 from pydantic import Field, PositiveFloat, model_validator
 
-from lscan.acquisition.samerig import require_same_files
+from lscan.acquisition.run import require_same_files
 from lscan.config.documents import Strict, check, named_files
 from lscan.config.rig import Plan, RigFile, load_rig
 from lscan.devices.api import Fact, Grab, PassiveTrack, Track, TravelDriver, TravelOptions

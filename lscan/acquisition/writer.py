@@ -30,8 +30,10 @@ from lscan.acquisition.run import (
     open_run,
     read_manifest,
     recording_versions,
+    require_same_camera,
+    require_same_files,
+    require_same_rig,
 )
-from lscan.acquisition.samerig import require_same_camera, require_same_files, require_same_rig
 from lscan.config.documents import named_files
 from lscan.config.rig import RigFile
 from lscan.devices.api import Camera, Identified

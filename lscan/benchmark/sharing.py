@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.acquisition.inorder import require_guarded_main
+from lscan.acquisition.scan import require_guarded_main
 from lscan.benchmark.judging import JudgedExtractor, judge, worst_of
 from lscan.records import Progress
 from lscan.suites import open_suite

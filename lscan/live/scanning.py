@@ -8,8 +8,7 @@ from glob import glob
 from pathlib import Path
 from typing import Any, Literal
 
-from lscan.acquisition.run import MANIFEST, TABLE, most_table_bytes, read_manifest
-from lscan.acquisition.samerig import require_same_rig
+from lscan.acquisition.run import MANIFEST, TABLE, most_table_bytes, read_manifest, require_same_rig
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import RunWriter, create_run, resume_run
 from lscan.config.rig import RigFile

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
-from lscan.acquisition.samerig import first_difference
+from lscan.acquisition.run import first_difference
 from lscan.errors import InputError
 from lscan.files.datasets import MANIFEST, MOST_PICTURES, VERSION
 from lscan.files.disk import (

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lscan.acquisition.run import Run
-from lscan.acquisition.samerig import require_same_files
+from lscan.acquisition.run import Run, require_same_files
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture

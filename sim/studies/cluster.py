@@ -24,7 +24,7 @@ import numpy as np
 from distributed import Client, Future, KilledWorker, LocalCluster, WorkerPlugin, as_completed
 from distributed.comm import CommClosedError
 
-from lscan.acquisition.inorder import cores, require_guarded_main
+from lscan.acquisition.scan import cores, require_guarded_main
 from lscan.config.documents import named_files
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import disk_errors

@@ -20,7 +20,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 
-from lscan.acquisition.samerig import first_difference
+from lscan.acquisition.run import first_difference
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import (
     append_synced,

@@ -7,7 +7,7 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from lscan.acquisition.inorder import cores
+from lscan.acquisition.scan import cores
 from lscan.config.rig import load_rig
 from lscan.files.disk import make_folder
 from lscan.records import Progress

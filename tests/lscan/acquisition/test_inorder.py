@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from lscan.acquisition import inorder
-from lscan.acquisition.inorder import in_order
+from lscan.acquisition import scan as inorder
+from lscan.acquisition.scan import in_order
 from lscan.errors import InputError
 
 
@@ -78,7 +78,7 @@ def test_processes_are_started_beneath_the_main_guard_of_a_script(
     tmp_path: Path, body: str, refused_at: int | None
 ) -> None:
     script = tmp_path / "script.py"
-    script.write_text(f"from lscan.acquisition.inorder import require_guarded_main\n\n{body}\n")
+    script.write_text(f"from lscan.acquisition.scan import require_guarded_main\n\n{body}\n")
     if refused_at is None:
         runpy.run_path(str(script), run_name="__main__")
         return

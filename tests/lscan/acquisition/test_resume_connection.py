@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from fake_devices import HEIGHT, WIDTH, FakeCamera, FakeTrack, fake_rig, folder_bytes
 
-from lscan.acquisition.samerig import require_same_rig
+from lscan.acquisition.run import require_same_rig
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.config.rig import RigFile, parse_rig

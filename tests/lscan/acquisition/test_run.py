@@ -17,8 +17,7 @@ import pytest
 from fake_devices import FakeCamera, FakeTrack, fake_rig, folder_bytes
 from hypothesis import given, settings, strategies as st
 
-from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
-from lscan.acquisition.samerig import first_difference
+from lscan.acquisition.run import FrameRow, Manifest, Run, first_difference, open_run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
 from lscan.config.rig import parse_rig

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from served import PAPER, quick_rig, small_scene
 
-from lscan.acquisition.samerig import first_difference
+from lscan.acquisition.run import first_difference
 from lscan.acquisition.scan import scan
 from lscan.config.documents import Document
 from lscan.config.rig import SheetSection, load_rig
