@@ -81,7 +81,7 @@ def wheel(
     json: Json = False,
 ) -> None:
     """Pack suites as a wheel, which lscan finds once pip has installed it."""
-    from lscan.suites.wheel import write_suite_wheel
+    from lscan.suites.files import write_suite_wheel
 
     written = write_suite_wheel(archives, output, name, version)
     if json:

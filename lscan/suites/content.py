@@ -6,22 +6,79 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 import cv2
 import numpy as np
 from pydantic import Field
 
+from lscan.config.board import Board
 from lscan.config.documents import Model, Strict, check
 from lscan.config.plugins import refuse_code
-from lscan.config.rig import StripeSection
+from lscan.config.rig import OpticsSection, Rig, StripeSection
 from lscan.errors import InputError
 from lscan.files.disk import parse_json
-from lscan.files.pictures import encoded
-from lscan.records import Bytes, Floats, Ints, Status
-from lscan.suites.layers import LightLayers, layers_picture
+from lscan.files.pictures import encoded, read_png
+from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
+
+# The layers of light that a picture is made of, as a picture of their logarithms.
+
+
+STEPS = 16  # to a factor of two: rounding makes 2.2 %
+LEAST_DN = 0.25  # beneath, steps are even: rounding makes 0.006 DN at 0 and 0.01 DN there
+
+
+@dataclass(frozen=True)
+class LightLayers:
+    """What reaches the lens from each pixel's direction, without noise, blur or clipping.
+
+    In the unit of light that lifts a pixel on the axis from black by one digital number in that
+    picture.
+
+    Attributes
+    ----------
+    direct : (H, W) array, DN, laser light reflected once, by the surface the laser itself lit
+    scattered : (H, W) array, DN, all other laser light: veil, halo, reflections of the line
+    ambient : (H, W) array, DN, everything that is not the laser's
+    """
+
+    direct: Floats
+    scattered: Floats
+    ambient: Floats
+
+    def turned(self) -> "LightLayers":
+        """As a camera sees them whose columns are the other's rows."""
+        return replace(self, **{name: layer.T for name, layer in vars(self).items()})
+
+
+def layers_picture(layers: LightLayers) -> Bytes:
+    """(H, W, 3) uint8, a channel for each layer: STEPS log2(1 + layer / LEAST_DN), rounded.
+
+    255 stands for 15,700 DN and all above.
+
+    Parameters
+    ----------
+    layers : LightLayers
+    """
+    light = np.stack([layers.direct, layers.scattered, layers.ambient], axis=-1)
+    return np.clip(np.rint(STEPS * np.log2(1 + light / LEAST_DN)), 0, 255).astype(np.uint8)
+
+
+def layers_of_picture(picture: Bytes) -> LightLayers:
+    """The layers that ``layers_picture`` wrote, to its rounding.
+
+    Parameters
+    ----------
+    picture : (H, W, 3) array, uint8
+    """
+    light = LEAST_DN * (np.exp2(np.arange(256) / STEPS) - 1)
+    return LightLayers(*(light[picture[..., k]] for k in range(3)))
+
+
+# What a suite holds: its manifest, and a case's picture and truth as bytes of its members.
+
 
 MANIFEST = "suite.json"
 VERSION = 3
@@ -231,3 +288,273 @@ def case_members(case: SuiteCase) -> dict[str, bytes]:
     members[SETTINGS] = f"{case.settings.model_dump_json(indent=1)}\n".encode()
     members[TRUTH] = truth_bytes(case.truth)
     return {f"{case.name}/{name}": data for name, data in members.items()}
+
+
+# Pictures of the calibration board in a suite: the marks' true places, the map on the sheet.
+
+
+MARK_COLUMNS = ("x_mm", "z_mm", "u_px", "v_px", "status")
+MAP_COLUMNS = ("u_px", "v_px", "x_mm", "z_mm")
+MARK_STATUSES = (Status.OK, Status.OUT_OF_VIEW, Status.OCCLUDED)
+_FORMS = {"px": "%.6f", "mm": "%.4f", "dn": "%.0f"}  # by a column's unit
+
+
+@dataclass(frozen=True)
+class BoardCase:
+    """One picture of the calibration board.
+
+    Attributes
+    ----------
+    name : str
+    axes : mapping, the case's value on each of the axes of boards
+    picture : (H, W) or (H, W, 3) array, uint8, DN
+    board : Board, as it was made
+    optics : OpticsSection, what its owner knows of camera and port
+    marks : Marks, the grid row by row, then the rulers' in their order, where their centres truly
+        are in the picture; sigma_px is 0, or NaN where a mark is not to be seen
+    map_px : (N, 2) array, px, places of the picture, on a lattice over the board
+    map_mm : (N, 2) array, mm, (x, z) of the laser sheet that is truly seen there, in the frame that
+        the board marks on it
+    """
+
+    name: str
+    axes: Mapping[str, str]
+    picture: Bytes
+    board: Board
+    optics: OpticsSection
+    marks: Marks
+    map_px: Floats
+    map_mm: Floats
+
+
+def board_members(case: BoardCase) -> dict[str, bytes]:
+    """The bytes of each member of a case by its name, that of the marks last.
+
+    Parameters
+    ----------
+    case : BoardCase
+    """
+    marks = np.column_stack([case.marks.board_mm, case.marks.image_px, case.marks.status])
+    members = {
+        PICTURE: noisy_png(case.picture),
+        BOARD: f"{case.board.model_dump_json(indent=1)}\n".encode(),
+        OPTICS: f"{case.optics.model_dump_json(indent=1)}\n".encode(),
+        MAP: table_bytes(MAP_COLUMNS, np.column_stack([case.map_px, case.map_mm])),
+        TRUTH: table_bytes(MARK_COLUMNS, marks),
+    }
+    return {f"{case.name}/{name}": data for name, data in members.items()}
+
+
+def read_board_case(
+    name: str, axes: Mapping[str, str], member: Callable[[str], bytes], suite: object
+) -> BoardCase:
+    """The case that ``board_members`` wrote.
+
+    Parameters
+    ----------
+    name : str, of the case
+    axes : mapping, its values
+    member : callable, the bytes of a member by its name
+    suite : where it lies, for errors
+
+    Raises
+    ------
+    InputError
+        Names the member that is harmed.
+    """
+
+    def shown(part: str) -> tuple[bytes, str]:
+        return member(f"{name}/{part}"), f"{suite}: member {name}/{part}"
+
+    board = read_section(Board, *shown(BOARD))
+    marks = _marks(*shown(TRUTH))
+    places = [board.grid.points_mm(), *(ruler.points_mm() for ruler in board.ruler)]
+    if len(marks.status) != sum(map(len, places)):
+        raise InputError(f"members of case {name} differ in marks", where=suite)
+    table = read_table(MAP_COLUMNS, *shown(MAP))
+    if not (len(table) and np.isfinite(table).all()):
+        raise InputError("is no table of a map", where=shown(MAP)[1])
+    picture, optics = read_png(*shown(PICTURE)), read_section(OpticsSection, *shown(OPTICS))
+    return BoardCase(name, axes, picture, board, optics, marks, table[:, :2], table[:, 2:])
+
+
+def _marks(data: bytes, where: object) -> Marks:
+    table = read_table(MARK_COLUMNS, data, where)
+    status = table[:, 4]
+    shown = status == Status.OK
+    if not (np.isin(status, MARK_STATUSES).all() and np.isfinite(table[shown, :4]).all()):
+        raise InputError("is no table of marks", where=where)
+    pixels = np.where(shown[:, np.newaxis], table[:, 2:4], np.nan)
+    return Marks(table[:, :2], pixels, np.where(shown, 0.0, np.nan), status.astype(np.int64))
+
+
+def table_bytes(columns: Sequence[str], rows: Floats) -> bytes:
+    """CSV: px to a millionth, mm to a ten-thousandth, all else whole.
+
+    Parameters
+    ----------
+    columns : sequence of str, C of them
+    rows : (N, C) array
+    """
+    stream = io.StringIO()
+    stream.write(",".join(columns) + "\n")
+    form = [_FORMS.get(name.rpartition("_")[2], "%d") for name in columns]
+    np.savetxt(stream, rows, fmt=form, delimiter=",")
+    return stream.getvalue().encode()
+
+
+def read_table(columns: Sequence[str], data: bytes, where: object) -> Floats:
+    """The rows, (N, C), that ``table_bytes`` wrote; InputError for any other bytes.
+
+    Parameters
+    ----------
+    columns : sequence of str, C of them
+    data : bytes
+    where : for errors
+    """
+    try:
+        head, *rows = csv.reader(io.StringIO(data.decode()))
+        if tuple(head) != tuple(columns):
+            raise ValueError
+        return np.array(rows, dtype=float).reshape(len(rows), len(columns))
+    except (ValueError, csv.Error) as error:
+        raise InputError(f"is no table of {', '.join(columns)}", where=where) from error
+
+
+# Whole scans in a suite: the picture of the board, those of the line, and what they truly show.
+
+
+LINE_COLUMNS = ("x_mm", "z_mm", "height_dn", "multiple", "status")
+SLICE_COLUMNS = ("x_mm", "y_mm", "z_mm", "status")
+
+
+@dataclass(frozen=True)
+class ScanCase:
+    """One scan, with the board that its rig is calibrated by.
+
+    Attributes
+    ----------
+    name : str
+    axes : mapping, the case's value on each of the axes of scans
+    board : BoardCase
+    frames : tuple of (H, W) or (H, W, 3) array, uint8, DN; F of them
+    rig : Rig, what its owner knows of it; its plan says where the pictures were taken
+    line_mm : (F, N, 2) array, mm, (x, z) on the laser sheet of what each column truly shows, in the
+        frame that the board marks on it; NaN where the line is not to be seen
+    height_dn : (F, N) array, DN, its peak above what lies about it, to a whole number
+    multiple : (F, N) array, 1 where a column holds several points of the line
+    status : (F, N) array, of Status
+    slices_mm : (M, 3) array, mm, points of the sandwave in its own frame, slice by slice; none of
+        any other workpiece
+    slice_status : (M,) array, of Status: OK where lit and seen
+    """
+
+    name: str
+    axes: Mapping[str, str]
+    board: BoardCase
+    frames: tuple[Bytes, ...]
+    rig: Rig
+    line_mm: Floats
+    height_dn: Floats
+    multiple: Ints
+    status: Ints
+    slices_mm: Floats
+    slice_status: Ints
+
+    @property
+    def picture(self) -> Bytes:
+        """The picture in the middle of the scan, to look at."""
+        return self.frames[len(self.frames) // 2]
+
+
+def _rig_bytes(rig: Rig) -> bytes:
+    """JSON, the drivers' options left out."""
+    stated = rig.model_dump(mode="json", exclude_unset=True)
+    for device in ("camera", "track"):
+        stated[device].pop("options", None)
+    return f"{json.dumps(stated, indent=1, sort_keys=True)}\n".encode()
+
+
+def scan_members(case: ScanCase) -> dict[str, bytes]:
+    """The bytes of each member of a case by its name, that of the marks' truth last.
+
+    Parameters
+    ----------
+    case : ScanCase
+    """
+    line = np.dstack([case.line_mm, np.rint(case.height_dn), case.multiple, case.status])
+    members = {FRAME.format(k): noisy_png(frame) for k, frame in enumerate(case.frames)}
+    members[RIG] = _rig_bytes(case.rig)
+    members[LINE] = table_bytes(LINE_COLUMNS, line.reshape(-1, len(LINE_COLUMNS)))
+    if len(case.slices_mm):
+        table = np.column_stack([case.slices_mm, case.slice_status])
+        members[SLICES] = table_bytes(SLICE_COLUMNS, table)
+    named = {f"{case.name}/{name}": data for name, data in members.items()}
+    return {**named, **board_members(case.board)}
+
+
+def read_scan_case(
+    name: str,
+    axes: Mapping[str, str],
+    member: Callable[[str], bytes],
+    has: Callable[[str], bool],
+    suite: object,
+) -> ScanCase:
+    """The case that ``scan_members`` wrote.
+
+    Parameters
+    ----------
+    name : str, of the case
+    axes : mapping, its values
+    member : callable, the bytes of a member by its name
+    has : callable, whether there is a member of that name
+    suite : where it lies, for errors
+
+    Raises
+    ------
+    InputError
+        Names the member that is harmed.
+    """
+
+    def shown(part: str) -> tuple[bytes, str]:
+        if not has(f"{name}/{part}"):
+            raise InputError(f"member {name}/{part} is missing", where=suite)
+        return member(f"{name}/{part}"), f"{suite}: member {name}/{part}"
+
+    board = read_board_case(name, axes, member, suite)
+    rig = read_section(Rig, *shown(RIG))
+    camera, count = rig.camera, rig.plan.frames
+    frames = tuple(read_png(*shown(FRAME.format(k))) for k in range(count))
+    columns = camera.width_px if rig.stripe.axis == "columns" else camera.height_px
+    size = (camera.height_px, camera.width_px)
+    line = read_table(LINE_COLUMNS, *shown(LINE))
+    sizes = {picture.shape[:2] for picture in (board.picture, *frames)}
+    if sizes != {size} or len(line) != count * columns:
+        raise InputError(f"members of case {name} differ in size", where=suite)
+    points = line.reshape(count, columns, len(LINE_COLUMNS))
+    _check(points[..., :3], points[..., 4], np.isin(points[..., 3], (0, 1)), shown(LINE)[1])
+    slices = np.empty((0, len(SLICE_COLUMNS)))
+    if has(f"{name}/{SLICES}"):
+        slices = read_table(SLICE_COLUMNS, *shown(SLICES))
+        _check(slices[:, :3], slices[:, 3], np.isfinite(slices[:, :3]), shown(SLICES)[1])
+    return ScanCase(
+        name,
+        axes,
+        board,
+        frames,
+        rig,
+        points[..., :2],
+        points[..., 2],
+        points[..., 3].astype(np.int64),
+        points[..., 4].astype(np.int64),
+        slices[:, :3],
+        slices[:, 3].astype(np.int64),
+    )
+
+
+def _check(places: Floats, status: Floats, plain: Mask, where: str) -> None:
+    """Refuse a table of statuses that are none, or of places that are no numbers."""
+    shown = status == Status.OK
+    whole = np.isin(status, list(Status)).all() and np.isfinite(places[shown]).all()
+    if not (whole and plain.all()):
+        raise InputError("is no table of a scan's truth", where=where)

@@ -13,7 +13,7 @@ from lscan.errors import InputError
 from lscan.files.disk import lock_folder, make_folder, read_text, write_atomically
 from lscan.records import Progress
 from lscan.suites import is_written, open_suite, pack_suite, write_case, write_manifest
-from lscan.suites.find import suite_cache
+from lscan.suites.files import suite_cache
 from lscan.version import __version__
 from sim.datasets.boards import board_case
 from sim.datasets.lines import line_case, line_truths, turned_case

@@ -12,7 +12,7 @@ import numpy as np
 
 from lscan.suites import Suite, SuiteContent
 from lscan.suites.content import MANIFEST, VERSION
-from lscan.suites.writer import archive_bytes
+from lscan.suites.files import archive_bytes
 
 Harm = Callable[[Suite, bytes, np.random.Generator], bytes]
 

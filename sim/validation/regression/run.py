@@ -6,7 +6,7 @@ from pathlib import Path
 
 from lscan.benchmark.suiterun import DRAWN
 from lscan.records import Progress
-from lscan.suites.find import suite_cache, suites_found
+from lscan.suites.files import suite_cache, suites_found
 from sim.datasets.suite import make_cached_suite
 from sim.datasets.suitespec import load_suite_spec
 from sim.validation.chapters import in_turn

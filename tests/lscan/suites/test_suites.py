@@ -14,20 +14,23 @@ from command_line import call
 from hypothesis import given, settings, strategies as st
 from plugin_packages import install_package
 
-import lscan.suites.find
+import lscan.suites.files
 from lscan.errors import InputError
 from lscan.files.pictures import encoded
 from lscan.suites import LightLayers, open_suite, pack_suite, suites_found, verify_suite
 from lscan.suites.content import (
+    LEAST_DN,
     MANIFEST,
+    STEPS,
+    layers_of_picture,
+    layers_picture,
     manifest_bytes,
     member_sum,
     read_manifest,
     read_truth,
     truth_bytes,
 )
-from lscan.suites.layers import LEAST_DN, STEPS, layers_of_picture, layers_picture
-from lscan.suites.wheel import write_suite_wheel
+from lscan.suites.files import write_suite_wheel
 
 
 @pytest.fixture(scope="module")
@@ -348,7 +351,7 @@ def test_suites_are_found_by_entry_point(folder, tmp_path, monkeypatch):
     install_package(monkeypatch, tmp_path, "somebodys", "[lscan.suites]\ntheirs = somebodys\n")
     assert suites_found()["theirs"] == package / "theirs.zip"
     with pytest.raises(InputError, match="no such suite"):
-        lscan.suites.find.find_suite("nobodys")
+        lscan.suites.files.find_suite("nobodys")
 
 
 def test_a_wheel_has_the_same_bytes_and_states_what_it_holds(archive, tmp_path, capsys):

@@ -20,7 +20,7 @@ from lscan.errors import InputError
 from lscan.files.disk import lock_folder
 from lscan.records import Status
 from lscan.suites import open_suite, verify_suite
-from lscan.suites.layers import LEAST_DN, STEPS, layers_of_picture, layers_picture
+from lscan.suites.content import LEAST_DN, STEPS, layers_of_picture, layers_picture
 from sim.datasets import suite, suitespec
 from sim.datasets.labels import one_step_w_m2_sr
 from sim.datasets.lines import line_case, line_truths

@@ -17,7 +17,7 @@ from shown_work import ShownWork
 from lscan.errors import DiskError
 from lscan.files.disk import cache_folder, long_work_shown, read_cached
 from lscan.records import Floats
-from lscan.suites.find import suite_cache
+from lscan.suites.files import suite_cache
 from sim.water import tablecache
 from sim.water.tablecache import kept_arrays
 
