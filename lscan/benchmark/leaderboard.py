@@ -8,7 +8,7 @@ from pathlib import Path
 from lscan.benchmark.savedrun import SavedRun, read_saved
 from lscan.benchmark.suiterun import SuiteRow, row_of
 from lscan.errors import InputError
-from lscan.figures.template import page_template
+from lscan.figures.style import page_template
 from lscan.files.disk import make_folder, write_atomically
 from lscan.version import __version__
 

@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from lscan.figures.reportfigure import signed
+from lscan.figures.style import signed
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
 from lscan.paper.experiment import Experiment

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from lscan.files.disk import write_atomically
 from lscan.paper import provenance
 from lscan.paper.checks import checks
@@ -45,7 +45,7 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
     """
     from plotly.offline import get_plotlyjs
 
-    from lscan.figures.template import page_template
+    from lscan.figures.style import page_template
 
     bars = bars or Bars()
     sources = experiment.sources

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from lscan.figures.reportfigure import signed
+from lscan.figures.style import signed
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
 from lscan.measurement import BoardMeasures

@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import replace
 
-from lscan.figures.template import page_template
+from lscan.figures.style import page_template
 from lscan.version import __version__
 from sim.studies.intervals import Bounded
 from sim.studies.plots import StudyPlot, by_total, front_plot, largest, plots_of

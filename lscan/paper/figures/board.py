@@ -12,7 +12,7 @@ from lscan.calibration.maps.drawing import DrawnConversion, graticule_lines, rul
 from lscan.calibration.maps.graticule import Graticule
 from lscan.calibration.solve import calibrate
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from lscan.paper.experiment import BoardResult
 from lscan.paper.figures.words import drawn, photographed
 from lscan.paper.published import CHOSEN_MAP

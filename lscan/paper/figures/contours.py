@@ -9,8 +9,14 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from lscan.figures import style
-from lscan.figures.grid import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import (
+    CELL_MM,
+    NodeHeights,
+    ReportFigure,
+    cell_for,
+    grid_heights,
+    height_range,
+)
 from lscan.measurement import SandwaveMeasures
 from lscan.paper.figures.words import drawn
 from lscan.paper.published import YAW_DEG

@@ -6,8 +6,14 @@ from itertools import product
 import numpy as np
 
 from lscan.figures import style
-from lscan.figures.grid import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import (
+    CELL_MM,
+    NodeHeights,
+    ReportFigure,
+    cell_for,
+    grid_heights,
+    height_range,
+)
 from lscan.files.disk import packaged_table
 from lscan.paper.figures.words import words_of
 from lscan.records import Floats, Mask

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from lscan.measurement import SandwaveMeasures
 from lscan.paper.experiment import Experiment, LinePictures
 from lscan.paper.figures import board, contours, interactive, relief, slices, stripes

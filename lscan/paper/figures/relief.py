@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure, signed
+from lscan.figures.style import ReportFigure, signed
 from lscan.paper.figures.words import drawn
 from lscan.records import Floats
 from lscan.surface import Alignment, levelling_step

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure, signed
+from lscan.figures.style import ReportFigure, signed
 from lscan.measure import SliceErrors
 from lscan.paper.figures.words import drawn
 from lscan.records import Status

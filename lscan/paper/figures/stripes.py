@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from lscan.config.plugins import find_plugin
 from lscan.config.rig import StripeSection
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures
 from lscan.paper.figures.words import drawn, photographed

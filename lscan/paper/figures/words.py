@@ -3,7 +3,7 @@
 from matplotlib.figure import Figure
 
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from lscan.files.disk import packaged_table
 from lscan.records import Bytes
 

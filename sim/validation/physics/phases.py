@@ -6,7 +6,7 @@ import numpy as np
 from scipy.integrate import simpson
 
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from lscan.records import Floats
 from sim.validation.physics.topics import page_figure, reference, topic
 from sim.validation.rows import Row, Topic, row

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from importlib.metadata import version
 
-from lscan.figures.template import page_template
+from lscan.figures.style import page_template
 from sim.validation.physics.gallery import ScenePicture
 from sim.validation.rows import Topic, number, rows_of
 

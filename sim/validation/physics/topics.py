@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from lscan.figures import style
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from lscan.files.disk import packaged_table
 from sim.validation.rows import Row, Topic
 

@@ -16,8 +16,7 @@ from lscan.calibration.maps.drawing import DrawnConversion
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.figures import style
-from lscan.figures.grid import cell_for, grid_heights
-from lscan.figures.reportfigure import signed
+from lscan.figures.style import cell_for, grid_heights, signed
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from lscan.cli.console import run_command_line
 from lscan.errors import InputError
-from lscan.figures.reportfigure import ReportFigure
+from lscan.figures.style import ReportFigure
 from sim.cli.app import app
 from sim.validation.physics import run
 from sim.validation.physics.gallery import ScenePicture, gallery, scene_files
