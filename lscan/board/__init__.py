@@ -6,7 +6,7 @@ dot), ``evidence`` (is this the board?), ``lattice`` (which dot is which, and th
 ``features`` and ``rings``.  Every centre is found by ``centre``.
 """
 
-from lscan.board.overlay import draw_overlay
+from lscan.board.drawing import draw_overlay
 from lscan.board.reader import read_board
 
 __all__ = ["draw_overlay", "read_board"]

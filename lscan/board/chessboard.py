@@ -9,30 +9,309 @@ paper bends, ink spreads, movement and coding smear the squares by unlike amount
 windows disagree by, all corners together, is added to what noise does.
 """
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
-from lscan.board.centre import SMALLEST_SIGMA_PX, fit_centres
-from lscan.board.chesslattice import find_lattice
 from lscan.board.lattice import grid_points_mm
-from lscan.board.picture import Image, bright_marks, noise_of
-from lscan.board.search import local_pitch
+from lscan.board.picture import (
+    SMALLEST_SIGMA_PX,
+    Centres,
+    Image,
+    bright_marks,
+    fit_centres,
+    noise_of,
+)
+from lscan.board.search import NEXT, Nodes, find_crosses, local_pitch, moved, seeded, spread
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
 
-WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
-LARGEST_SIGMA_PX = 4.0
-CLEAR = 1 / 3  # Gaussian sigma, of the way to the next marker: what lies beyond weighs 1 % at most
+# A chessboard's corners found one from another, as the dots of a board are (search.py).
+#
+# Every saddle of the smoothed picture may be a corner.  One with four others about it, like the
+# middle of a cross, begins; the displacement from corner to corner predicts the next, where a
+# saddle
+# is looked for, until none is left.  So all corners of the board are found, those that slivers of
+# further squares make at its rim included.
+
+
+SCALES_PX = (1.5, 3.0, 6.0)  # of the smoothing: squares of 8 to 200 px show in one of them
+WEAKEST = 0.25  # of the ninth sharpest saddle: slanting light and noise, but not what an edge makes
+FEWEST_SADDLES, MOST_SADDLES = 9, 4000  # saddles: three by three corners; more is texture
+SQUARES = 5.0 * 1.26 ** np.arange(11)  # widths tried, of the smoothing: a third of an octave apart
+SEEDS = 3  # tried at each scale
+SADDLE_WINDOW = 0.15  # Gaussian sigma under which a saddle is fitted, of a square
+LARGEST_SADDLE_SIGMA_PX = 6.0  # of it: corners are sharp, and larger windows cost more
+BOX = 0.2  # of a square: how far off its place a corner may be
+FAINTEST = 4.0  # times the uncertainty of those beside it: a saddle of noise has far more
+
+
+def corner_lattices(grey: Image, most: int) -> Iterator[Floats]:
+    """(R, C, 2) px of lattices of corners, NaN where one is missing, the likeliest first.
+
+    Parameters
+    ----------
+    grey : (H, W) array, grey values
+    most : int, rows and columns that a lattice may have
+    """
+    noise = np.full_like(grey, noise_of(grey))
+    for scale in SCALES_PX:
+        for seeds in _seeds(grey, scale):
+            nodes = _grown(grey, noise, seeds, most)
+            if nodes.found.sum() >= FEWEST_SADDLES:
+                yield nodes.part(nodes.extent()).points
+
+
+def _seeds(grey: Image, scale_px: float) -> list[Floats]:
+    """Up to three (3, 2) px: a corner, the one beneath and the one to its right."""
+    points, strength = _saddles(grey, scale_px)
+    found = [find_crosses(points, strength, float(width * scale_px)) for width in SQUARES]
+    best = max(found, key=lambda several: float(several.strength.sum()))
+    order = np.argsort(best.uneven, kind="stable")[:SEEDS]
+    return list(best.seeds[order])
+
+
+def _saddles(grey: Image, scale_px: float) -> tuple[Floats, Floats]:
+    """(N, 2) px of the saddles of the smoothed picture, and (N,) how sharp they are."""
+    smooth = cv2.GaussianBlur(grey, (0, 0), scale_px)
+    uu, vv = (cv2.Sobel(smooth, cv2.CV_32F, *by, ksize=3) for by in ((2, 0), (0, 2)))
+    uv = cv2.Sobel(smooth, cv2.CV_32F, 1, 1, ksize=3)
+    sharp = np.sqrt(np.maximum(uv**2 - uu * vv, 0))
+    peak = (sharp >= cv2.dilate(sharp, np.ones((5, 5), np.uint8))) & (sharp > 0)
+    row, column = np.nonzero(peak)
+    strength = sharp[row, column].astype(float)
+    order = np.argsort(-strength, kind="stable")[:MOST_SADDLES]
+    if len(order) >= FEWEST_SADDLES:
+        order = order[strength[order] >= WEAKEST * strength[order[FEWEST_SADDLES - 1]]]
+    return np.column_stack([column, row])[order].astype(float), strength[order]
+
+
+def _grown(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
+    """All corners that can be reached from the seeds."""
+    last = np.array(grey.shape[::-1]) - 1
+
+    def seek(expected: Floats, square: Floats, beside: Floats) -> tuple[Centres, Mask]:
+        sigma = np.clip(SADDLE_WINDOW * square, SMALLEST_SIGMA_PX, LARGEST_SADDLE_SIGMA_PX)
+        corners = fit_centres(grey, expected, sigma, noise, saddles=True)
+        near = np.linalg.norm(corners.points - expected, axis=1) <= BOX * square + 1
+        inside = ((corners.points >= 0) & (corners.points <= last)).all(axis=1)
+        sharp = corners.sigma_px <= FAINTEST * beside[:, 1]
+        return corners, corners.round & near & inside & sharp
+
+    nodes = Nodes.empty(2 * most + 1, 2 * most + 1)
+    where, square = seeded((most, most), seeds)
+    nodes.put(where, *seek(seeds, square, np.full((3, 2), np.inf)))
+    spread(nodes, seek, BOX)
+    return nodes
+
+
+# Which corners in a picture are those of a chessboard: three detectors, and what judges them.
+#
+# OpenCV's two detectors differ in what they miss.  Beside slivers of further squares at the rim
+# of a
+# board the newer one may skip a row, and it draws at random.  So its numbers are drawn from one
+# seed, the older one is asked where the newer one's answer is not perfect, and where neither has
+# one
+# the corners are sought from one to the next (saddles.py).  An answer counts only if the picture
+# bears it out: the steps from corner to corner are even, and the squares between the
+# corners and about them are dark and bright in turn.
+
+
+DETECTORS = (  # the newer, then the older
+    (cv2.findChessboardCornersSB, cv2.CALIB_CB_EXHAUSTIVE),
+    (cv2.findChessboardCorners, cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE),
+)
+SEED = 1
+UNEVEN = 0.3  # of a step, its change to the next: perspective makes 0.1, a skipped row 1
+PATCH = 0.12  # Gaussian sigma, of a step, under which a square's grey value is taken
+SIDE = 0.3  # of a step, from the middle of a square towards its sides
+CLEAR_SQUARES = 0.25  # of the usual difference between squares, by which one must differ
+FEWEST_RIGHT = 0.6  # of the squares in each row and column: a laser's line or glare may hide some
+
+
+@dataclass(frozen=True)
+class SeenLattice:
+    """A lattice of corners, and how many squares speak for it.
+
+    Attributes
+    ----------
+    corners : (R, C, 2) array, px, to about a pixel
+    right : int, squares that are dark and bright in turn, of (R + 1) (C + 1)
+    """
+
+    corners: Floats
+    right: int
+
+    @property
+    def whole(self) -> bool:
+        """Whether all squares, those about the rim too, are as they should be."""
+        rows, columns = self.corners.shape[:2]
+        return self.right == (rows + 1) * (columns + 1)
+
+
+def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
+    """(rows, columns, 2) px of the inner corners of a chessboard, to about a pixel.
+
+    The same for the same picture, whatever was looked for before.
+
+    Parameters
+    ----------
+    picture : (H, W) array, grey values
+    columns, rows : int, inner corners along and down the board, 3 or more
+
+    Raises
+    ------
+    BoardNotFound
+        Where no detector finds the corners, or the picture does not bear out what they find.
+    """
+    best, doubted = None, False
+    for detect in (_by_opencv, _by_saddles):
+        for corners in detect(picture, columns, rows):
+            seen = _judged(picture, corners)
+            doubted |= seen is None
+            if seen is not None and (best is None or seen.right > best.right):
+                best = seen
+            if best is not None and best.whole:
+                return best.corners
+        if best is not None:
+            return best.corners
+    if doubted:
+        raise BoardNotFound(
+            f"corners were found, but they are no even lattice of {columns} by {rows} between "
+            "squares dark and bright in turn: count the inner corners again, and cover what shows "
+            "of further squares at the board's rim"
+        )
+    raise BoardNotFound(
+        f"no chessboard of {columns} by {rows} inner corners in the picture: all of them "
+        "must be in view, with a bright rim about the board"
+    )
+
+
+def _by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
+    """What OpenCV's detectors find, with random numbers from one seed, drawn by one thread."""
+    threads = cv2.getNumThreads()
+    for detect, flags in DETECTORS:
+        cv2.setNumThreads(1)
+        cv2.setRNGSeed(SEED)
+        try:
+            found, corners = detect(picture, (columns, rows), flags=flags)
+        finally:
+            cv2.setNumThreads(threads)
+        if found:
+            yield np.asarray(corners, dtype=float).reshape(rows, columns, 2)
+
+
+def _by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
+    """Every complete part of that size of the lattices of saddles, either way up."""
+    for lattice in corner_lattices(picture.astype(np.float32), 2 * max(rows, columns)):
+        for turned in (lattice, np.rot90(lattice)):
+            spare = turned.shape[0] - rows, turned.shape[1] - columns
+            for down, across in np.ndindex(max(spare[0] + 1, 0), max(spare[1] + 1, 0)):
+                part = turned[down : down + rows, across : across + columns]
+                if np.isfinite(part).all():
+                    yield part
+
+
+def _judged(picture: Bytes, corners: Floats) -> SeenLattice | None:
+    """The lattice, or the one a row or column beside it, that the squares speak for; None: none.
+
+    Where further squares show in part the lattice may be found a row off: the whole squares about
+    the rim, all of which a board shows, decide.  Where they bear out two lattices the board has
+    more corners than were asked for.
+    """
+    if not _is_even(corners):
+        return None
+    rows, columns = corners.shape[:2]
+    wide = _extended(_extended(corners))
+    middle, whole = _in_turn(picture, wide)  # (rows + 3, columns + 3)
+    seen = []
+    for down, across in np.ndindex(3, 3):
+        window = np.s_[down : down + rows + 1, across : across + columns + 1]
+        squares, inner = whole[window].copy(), middle[window][1:-1, 1:-1]
+        squares[1:-1, 1:-1] = inner
+        fewest = min(inner.mean(axis=0).min(), inner.mean(axis=1).min())
+        part = wide[down + 1 : down + 1 + rows, across + 1 : across + 1 + columns]
+        # A lattice beside the one found must have more than a square more to show for itself.
+        ahead = 1 if (down, across) == (1, 1) else 0
+        if fewest >= FEWEST_RIGHT:
+            lattice = SeenLattice(part, int(squares.sum()))
+            seen.append((lattice.right + ahead, lattice))
+    if not seen or sum(lattice.whole for _, lattice in seen) > 1:
+        return None
+    return max(seen, key=lambda scored: scored[0])[1]
+
+
+def _is_even(corners: Floats) -> bool:
+    """Whether steps from corner to corner change no more than perspective and lens make them."""
+    for axis in (0, 1):
+        step = np.diff(corners, axis=axis)
+        length = np.linalg.norm(step, axis=2)
+        for way in (0, 1):
+            change = np.linalg.norm(np.diff(step, axis=way), axis=2)
+            shorter = np.minimum(np.delete(length, 0, way), np.delete(length, -1, way))
+            if (change > UNEVEN * shorter).any():
+                return False
+    return True
+
+
+def _extended(corners: Floats) -> Floats:
+    """(R + 2, C + 2, 2) the lattice with a rim about it, by equal steps."""
+    for axis in (0, 1):
+        p = np.moveaxis(corners, axis, 0)
+        p = np.concatenate([[2 * p[0] - p[1]], p, [2 * p[-1] - p[-2]]])
+        corners = np.moveaxis(p, 0, axis)
+    return corners
+
+
+def _in_turn(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
+    """(R - 1, C - 1) masks of the squares that are dark or bright as their turn is.
+
+    In the middle, and also towards all four sides, as a sliver of a square is not.
+    """
+    p, q, r, s = corners[:-1, :-1], corners[:-1, 1:], corners[1:, :-1], corners[1:, 1:]
+    middle, right, down = (p + q + r + s) / 4, (q + s - p - r) / 2, (r + s - p - q) / 2
+    step = float(np.median(np.linalg.norm(right, axis=2)))
+    smooth = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), max(PATCH * step, 0.5))
+
+    def grey(place: Floats) -> Floats:
+        at = [place[..., 1], place[..., 0]]
+        return np.asarray(map_coordinates(smooth, at, order=1, cval=np.nan), dtype=float)
+
+    in_middle = grey(middle)
+    around = np.stack([moved(in_middle, row, column) for row, column in NEXT])
+    known = np.isfinite(around)
+    beside = np.where(known, around, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    row, column = np.indices(in_middle.shape)
+    turn = (-1.0) ** (row + column)
+    usual = float(np.nanmedian(((in_middle - beside) * turn)[2:-2, 2:-2]))
+    turn *= np.sign(usual)
+    sides = [grey(middle + way * SIDE * axis) for axis in (right, down) for way in (1, -1)]
+    # A lattice whose squares are not the board's shows as much contrast, but not in turn.
+    least = CLEAR_SQUARES * max(abs(usual), float(np.nanstd(np.stack(sides)[:, 2:-2, 2:-2])))
+    clear = [(place - beside) * turn > least for place in (in_middle, *sides)]
+    return clear[0], np.all(clear, axis=0)
+
+
+# The corners of chessboards and of ChArUco boards, each with its uncertainty.
+
+
+CORNER_WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
+LARGEST_CORNER_SIGMA_PX = 4.0
+CLEAR_OF_MARKER = (
+    1 / 3
+)  # Gaussian sigma, of the way to the next marker: what lies beyond weighs 1 % at most
 NARROWER = 1 / 1.6  # of the second window that a corner is seen through
 MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
 MOST_CHANGED = 6.0  # standard deviations, from window to window and from the lattice
 FOURTH = np.array([1.0, -4.0, 6.0, -4.0, 1.0])  # difference of five in line
-FEWEST = 6  # corners of a ChArUco board: a pose needs four, its check two more
+FEWEST_CORNERS = 6  # corners of a ChArUco board: a pose needs four, its check two more
 LARGEST = (  # dictionaries of which the others are parts
     *(f"DICT_{bits}_1000" for bits in ("4X4", "5X5", "6X6", "7X7")),
     *(f"DICT_{name}" for name in ("ARUCO_ORIGINAL", "ARUCO_MIP_36h12")),
@@ -72,7 +351,7 @@ def read_chessboard(
     """
     grey = bright_marks(image, channel, "bright")
     seen = _find_corners(_eight_bit(grey), columns, rows)
-    return _measured(grey, seen, square_mm, WINDOW)
+    return _measured(grey, seen, square_mm, CORNER_WINDOW)
 
 
 def read_charuco(
@@ -115,16 +394,16 @@ def read_charuco(
     board = cv2.aruco.CharucoBoard(size, square_mm, marker_mm, markers)
     picture = _eight_bit(grey)
     corners, numbers = _charuco_corners(picture, board)
-    if len(numbers) < FEWEST:
+    if len(numbers) < FEWEST_CORNERS:
         raise BoardNotFound(
-            f"only {len(numbers)} corners of the ChArUco board were found, {FEWEST} are needed: "
+            f"only {len(numbers)} corners of the ChArUco board were found, {FEWEST_CORNERS} are needed: "
             + _markers_in_words(picture, size, dictionary)
         )
     seen = np.full((rows, columns, 2), np.nan)
     seen[np.divmod(numbers, columns)] = corners
     # A marker lies in the middle of its square: its corner is nearest, along the diagonal.
-    clear = CLEAR * (1 - marker_mm / square_mm) / np.sqrt(2)
-    return _measured(grey, seen, square_mm, min(WINDOW, clear))
+    clear = CLEAR_OF_MARKER * (1 - marker_mm / square_mm) / np.sqrt(2)
+    return _measured(grey, seen, square_mm, min(CORNER_WINDOW, clear))
 
 
 def _charuco_corners(picture: Bytes, board: cv2.aruco.CharucoBoard) -> tuple[Floats, Ints]:
@@ -242,7 +521,7 @@ def _measured(grey: Image, lattice: Floats, square_mm: float, window: float) -> 
     """
     seen, pitch = lattice.reshape(-1, 2), local_pitch(lattice).ravel()
     known = np.isfinite(seen[:, 0]) & np.isfinite(pitch)
-    sigma = np.clip(window * pitch[known], SMALLEST_SIGMA_PX, LARGEST_SIGMA_PX)
+    sigma = np.clip(window * pitch[known], SMALLEST_SIGMA_PX, LARGEST_CORNER_SIGMA_PX)
     noise = np.full_like(grey, noise_of(grey))
     corners = fit_centres(grey, seen[known], sigma, noise, saddles=True)
     moved = np.linalg.norm(corners.points - seen[known], axis=1)

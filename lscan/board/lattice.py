@@ -1,16 +1,18 @@
 """Which dot is which, the local map from board to picture, and dots that do not belong."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
-from scipy.ndimage import label, maximum_filter
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import label, map_coordinates, maximum_filter
 from scipy.spatial import cKDTree
 
-from lscan.board.picture import BoardPicture
+from lscan.board.picture import BLUR_PX, BoardPicture
 from lscan.board.search import Nodes, expected_places, local_pitch, mean_beside
-from lscan.config.board import Grid
+from lscan.config.board import Board, Grid
 from lscan.errors import BoardNotFound
-from lscan.records import Floats, Mask
+from lscan.records import BoardReading, Floats, Mark, Marks, Mask, RingPoints, Status
 
 NEAREST = 20  # control points that carry a local polynomial of six coefficients
 OUTLIER = 0.01  # of the pitch: smallest miss that can make a dot an outlier
@@ -269,3 +271,263 @@ def _first(spare: int, first: bool, last: bool, what: str, whole: int, found: in
         f"{found} of the {whole} {what} of dots are in view and neither end of them is, so "
         "which is the first is not known: give the seeds by hand"
     )
+
+
+# How far a disc's centre, as seen, lies from the image of the disc's centre.
+#
+# Perspective and distortion do not keep middles: the near half of a tilted disc covers more of
+# the picture than the far half.  The centre of a mark is found as the maximum of the smoothed
+# picture (centre.py), so the same is done here with the disc as the local map draws it: its
+# first and second derivatives, J and Q, place the disc's points at J x + Q(x, x) / 2 with the
+# area det(J + Q x).  To leading order the shift grows as Q times the square of the radius
+# (Heikkilä, IEEE Trans. PAMI 22, 10, 2000, gives that of the ellipse's centre under perspective).
+
+
+RINGS, SPOKES = 3, 8  # quadrature over the disc: exact to the fifth order in its points
+STEPS = 2  # Newton's; the shift is small beside the window, so the first is good to a percent
+
+
+def shift_of_discs(map_there: Expansion, radius_mm: float, sigma_px: Floats) -> Floats:
+    """(N, 2) px from the image of each disc's centre to the maximum of its smoothed image.
+
+    Parameters
+    ----------
+    map_there : Expansion, px and mm, the local map about the N centres
+    radius_mm : float, mm, of the discs
+    sigma_px : (N,) array, px, of the smoothing (``window_sigma``); the picture's own blur of 0.7 px
+        adds to it
+    """
+    jacobian, bend = map_there.jacobian, map_there.bend
+    spots, weight = _quadrature(radius_mm)
+    derivative = jacobian[:, None] + np.einsum("ncij,qj->nqci", bend, spots)
+    halfway = jacobian[:, None] + np.einsum("ncij,qj->nqci", bend, spots) / 2
+    image = np.einsum("nqci,qi->nqc", halfway, spots)
+    mass = weight * np.abs(np.linalg.det(derivative))
+    return _maximum(image, mass, sigma_px**2 + BLUR_PX**2)
+
+
+def _quadrature(radius: float) -> tuple[Floats, Floats]:
+    """Points (Q, 2) and weights (Q,) of a Gauss rule over a disc: Legendre in the area."""
+    node, share = np.polynomial.legendre.leggauss(RINGS)
+    reach = radius * np.sqrt((node + 1) / 2)
+    angle = 2 * np.pi * np.arange(SPOKES) / SPOKES
+    spokes = np.column_stack([np.cos(angle), np.sin(angle)])
+    return (reach[:, None, None] * spokes).reshape(-1, 2), np.repeat(share, SPOKES)
+
+
+def _maximum(image: Floats, mass: Floats, variance: Floats) -> Floats:
+    """(N, 2) maxima, by Newton's steps from 0, of masses (N, Q) at (N, Q, 2) smoothed."""
+    top = np.zeros((len(image), 2))
+    for _ in range(STEPS):
+        away = image - top[:, None]
+        weight = mass * np.exp(-(away**2).sum(axis=2) / (2 * variance[:, None]))
+        gradient = np.einsum("nq,nqc->nc", weight, away)
+        spread = np.einsum("nq,nqc,nqd->ncd", weight, away, away) / variance[:, None, None]
+        hessian = spread - weight.sum(axis=1)[:, None, None] * np.eye(2)
+        top = top - np.linalg.solve(hessian, gradient[..., None])[..., 0]
+    return top
+
+
+# By how much dots scatter about a smooth lattice more than the noise of pixels explains.
+#
+# A coder's quantisation and the interpolation of a colour filter's pixels displace dots as noise
+# does, but are not seen where the picture is even.  They are seen in the lattice itself: seen by a
+# lens through a port it is smooth, and its fifth differences next to nothing.
+
+
+_Marked = TypeVar("_Marked", Mark, Marks, RingPoints)
+
+FIFTH = np.array([1.0, -5.0, 10.0, -10.0, 5.0, -1.0])
+"""Differences that leave nothing of a polynomial of the fourth degree: of six dots in a row over a
+tenth of the picture's width a lens leaves 1e-3 px of them, over the norm 16 1e-4 px."""
+FEWEST = 40  # differences, many of which share dots: their spread is known to a fifth
+CHANCE = 1.5  # times what is expected; below it is taken for chance, or for edges that are coarse
+
+
+def lattice_scatter(nodes: Nodes) -> float:
+    """The scatter of a lattice's fifth differences over what its sigmas make of it; 1 or more.
+
+    Robust: half of the dots may lie anywhere.  Below CHANCE, and with too few dots in rows of
+    six, it is 1.
+
+    Parameters
+    ----------
+    nodes : Nodes, px, with their standard uncertainties
+
+    References
+    ----------
+    Birge, The calculation of errors by the method of least squares, Phys. Rev. 40, 207 (1932): an
+    uncertainty is enlarged by the ratio of what is seen to what was stated.
+    """
+    points, variance = nodes.points, nodes.sigma_px**2
+    each = (points[..., 0], points[..., 1])
+    ratios = [_ratios(values, variance, axis) for values in each for axis in (0, 1)]
+    found = np.abs(np.concatenate(ratios))
+    found = found[np.isfinite(found)]
+    if len(found) < FEWEST:
+        return 1.0
+    scatter = float(np.median(found)) / 0.6745
+    return scatter if scatter > CHANCE else 1.0
+
+
+def less_sure(reading: BoardReading, times: float) -> BoardReading:
+    """The reading with all its uncertainties so many times larger: all marks share their cause.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    times : float
+    """
+
+    def of(mark: _Marked) -> _Marked:
+        return replace(mark, sigma_px=times * mark.sigma_px)
+
+    return replace(
+        reading,
+        grid=of(reading.grid),
+        rulers=tuple(replace(ruler, marks=of(ruler.marks)) for ruler in reading.rulers),
+        dots={name: of(dot) for name, dot in reading.dots.items()},
+        rings={name: of(ring) for name, ring in reading.rings.items()},
+    )
+
+
+def _ratios(values: Floats, variance: Floats, axis: int) -> Floats:
+    """Fifth differences of (R, C) values along an axis, in their standard deviations."""
+    if values.shape[axis] < len(FIFTH):
+        return np.empty(0)
+    differences = sliding_window_view(values, len(FIFTH), axis=axis) @ FIFTH
+    expected = sliding_window_view(variance, len(FIFTH), axis=axis) @ FIFTH**2
+    return np.asarray(differences / np.sqrt(expected)).ravel()
+
+
+# Checks that the dots found are those of the board, and that its other marks bear them out.
+
+
+FEWEST_DOTS = 9  # three rows of three
+FEWEST_PART = 0.5  # of the dots in view
+INSIDE, OUTSIDE = 0.5, 1.75  # of the dot's radius: on the dot, and clear of it
+DARKEST_INSIDE, BRIGHTEST_OUTSIDE = 0.5, 0.5  # of the grey value at the middle
+DIRECTIONS = 16
+FEWEST_LOST = 3  # other marks that speak against a board file: fewer may be dirty
+UNEVEN = 0.03  # of the pitch: a board's dots miss a smooth grid by less than 0.01
+
+
+def fault_of(picture: BoardPicture, nodes: Nodes, grid: Grid) -> str | None:
+    """The first check that the dots fail as the board's, in words, or None.
+
+    Parameters
+    ----------
+    picture : BoardPicture, levelled
+    nodes : Nodes, px, the dots found
+    grid : Grid, mm, of the board
+    """
+    count = int(nodes.found.sum())
+    if count < 3:
+        return "the first three dots are not three round dots alike"
+    if count < FEWEST_DOTS:
+        return f"only {count} dots were found one from another, {FEWEST_DOTS} are needed"
+    part = nodes.part(nodes.extent())
+    if min(part.height.shape) < 3:
+        return f"the {count} dots found lie in fewer than three rows or columns"
+    radius_px = float(np.nanmedian(local_pitch(part.points))) * dot_part(grid) / 2
+    expected = int(picture.wholly_in_view(completed(part, grid.pitch_mm), radius_px).sum())
+    if count < FEWEST_PART * expected:
+        return f"only {count} of the {expected} dots that should be in view were found"
+    misfit = float(np.median(local_map(part.points, grid.pitch_mm).misfit()))
+    if misfit > UNEVEN * 2 * radius_px / dot_part(grid):
+        return f"the marks found miss a smooth grid by {misfit:.1f} px"
+    if not _are_discs(picture, part.points, dot_part(grid)):
+        return (
+            "the marks found are not dots of the size the board file gives"
+            f"{_size_seen(picture, part.points, grid)}"
+        )
+    if not _is_finest(picture, part.points):
+        return "there are more dots between those at the pitch"
+    return None
+
+
+def _are_discs(picture: BoardPicture, points: Floats, part: float) -> bool:
+    """Whether most marks are bright half-way to a dot's edge, and end beyond it, all around."""
+    pitch = local_pitch(points)
+    known = np.isfinite(points[..., 0]) & np.isfinite(pitch)
+    radius = pitch[known] * part / 2
+    clear = np.minimum(OUTSIDE * radius, pitch[known] / 2)
+    middle = _grey_around(picture, points[known], 0 * radius).mean(axis=1)
+    inside = _grey_around(picture, points[known], INSIDE * radius).min(axis=1)
+    outside = _grey_around(picture, points[known], clear).max(axis=1)
+    fits = (inside > DARKEST_INSIDE * middle) & (outside < BRIGHTEST_OUTSIDE * middle)
+    return bool(fits.mean() > 0.5)
+
+
+def _size_seen(picture: BoardPicture, points: Floats, grid: Grid) -> str:
+    """How wide marks are at half their height, as the median, beside what the board file says."""
+    pitch = local_pitch(points)
+    known = np.isfinite(points[..., 0]) & np.isfinite(pitch)
+    radii = np.linspace(0.0, 0.5, 26)  # of the pitch
+    grey = [_grey_around(picture, points[known], r * pitch[known]).mean(axis=1) for r in radii]
+    profile = np.median(np.array(grey) / np.maximum(grey[0], 1e-9), axis=1)
+    width = 2 * radii[np.argmax(profile < (1 + profile.min()) / 2)] * grid.pitch_mm
+    return f": they are about {width:.2g} mm wide, dot_diameter_mm is {grid.dot_diameter_mm:g}"
+
+
+def _grey_around(picture: BoardPicture, points: Floats, radius: Floats) -> Floats:
+    """(N, directions) grey values on circles about the points (N, 2)."""
+    angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    u = points[:, :1] + radius[:, None] * np.cos(angle)
+    v = points[:, 1:] + radius[:, None] * np.sin(angle)
+    return np.asarray(map_coordinates(picture.flat, [v, u], order=1), dtype=float)
+
+
+def _is_finest(picture: BoardPicture, points: Floats) -> bool:
+    """Whether there are no dots half-way between those found.
+
+    Every other dot of a grid, or the black squares of a chessboard, would have some.
+    """
+    across = (points[:, 1:] + points[:, :-1]) / 2
+    down = (points[1:] + points[:-1]) / 2
+    cell = (across[1:] + across[:-1]) / 2
+    limit = 0.5 * np.median(_smooth_at(picture, points))
+    between = [_smooth_at(picture, middle) for middle in (across, down, cell)]
+    return all(len(grey) == 0 or np.median(grey) < limit for grey in between)
+
+
+def _smooth_at(picture: BoardPicture, points: Floats) -> Floats:
+    known = points[np.isfinite(points[..., 0])]
+    column, row = np.rint(known).astype(np.int64).T
+    return picture.smooth[row, column].astype(float)
+
+
+def lost_marks(reading: BoardReading, board: Board) -> str:
+    """The kinds of other marks most of which are not where the board file has them, in words.
+
+    Empty where most of every kind were found, or fewer than three marks are lost.  Only marks
+    whose nearest control point was found count: the picture shows their place.
+
+    Parameters
+    ----------
+    reading : BoardReading, of a picture
+    board : Board, mm, of the board file
+    """
+    rulers = zip(board.ruler, reading.rulers, strict=True)
+    others = {
+        "rulers": [
+            (ruler.points_mm().mean(axis=0), float(np.mean(seen.marks.found)) >= FEWEST_PART)
+            for ruler, seen in rulers
+        ],
+        "named dots": [
+            ((dot.x_mm, dot.z_mm), reading.dots[dot.name].status == Status.OK) for dot in board.dot
+        ],
+        "rings": [
+            ((ring.x_mm, ring.z_mm), len(reading.rings[ring.name].sigma_px) > 0)
+            for ring in board.ring
+        ],
+    }
+    nearest = cKDTree(reading.grid.board_mm)
+    lost, total = [], 0
+    for kind, marks in others.items():
+        seen = [found for place, found in marks if reading.grid.found[nearest.query(place)[1]]]
+        missing = seen.count(False)
+        if missing > FEWEST_PART * len(seen):
+            lost.append(f"{missing} of {len(seen)} {kind}")
+            total += missing
+    return " and ".join(lost) if total >= FEWEST_LOST else ""

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import ndtr
 
-from lscan.board.centre import window_sigma
 from lscan.board.picture import (
     IMMERKAER,
     BoardPicture,
@@ -18,6 +17,7 @@ from lscan.board.picture import (
     enlarged,
     reduced,
     rounding_of,
+    window_sigma,
     working_reduction,
 )
 from lscan.board.search import Nodes, moved

@@ -8,34 +8,37 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.board.centre import STEPS_FROM_NEAR, fit_centres, stand_alone, window_sigma
-from lscan.board.evidence import fault_of, lost_marks
-from lscan.board.features import Contrast, mark_status, read_dot, read_ruler
 from lscan.board.lattice import (
     LocalMap,
     completed,
     dot_part,
     drop_islands,
     drop_outliers,
+    fault_of,
     grid_points_mm,
+    lattice_scatter,
+    less_sure,
     local_map,
+    lost_marks,
     place_on_board,
+    shift_of_discs,
 )
+from lscan.board.marks import Contrast, mark_status, read_dot, read_ring, read_ruler
 from lscan.board.noise import grain, noise_image
-from lscan.board.perspective import shift_of_discs
 from lscan.board.picture import (
+    STEPS_FROM_NEAR,
     BoardPicture,
     Image,
     bright_marks,
+    fit_centres,
     noise_of,
     prepare,
     reduced,
     reduction_of,
+    stand_alone,
+    window_sigma,
 )
-from lscan.board.rings import read_ring
-from lscan.board.scatter import lattice_scatter, less_sure
-from lscan.board.search import Nodes, grow, local_pitch
-from lscan.board.seeds import check_seeds, propose_seeds
+from lscan.board.search import Nodes, check_seeds, grow, local_pitch, propose_seeds
 from lscan.config.board import Board, Grid
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError

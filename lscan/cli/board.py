@@ -1,4 +1,4 @@
-"""The command ``lscan draw-board``: a thin face over lscan.board.plate."""
+"""The command ``lscan draw-board``: a thin face over lscan.board.drawing."""
 
 from pathlib import Path
 from typing import Annotated
@@ -15,7 +15,7 @@ def draw_board(
     json: Json = False,
 ) -> None:
     """Draw a calibration board at its true size, to be printed or milled."""
-    from lscan.board.plate import board_svg
+    from lscan.board.drawing import board_svg
     from lscan.config.board import Board
     from lscan.config.documents import check, read_document
     from lscan.config.rig import inline_board

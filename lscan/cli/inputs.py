@@ -14,7 +14,7 @@ import numpy as np
 
 from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
-from lscan.board.rings import FEWEST
+from lscan.board.marks import FEWEST
 from lscan.calibration.api import PlaneMap
 from lscan.calibration.carry import carried
 from lscan.calibration.loading import load_plane_map

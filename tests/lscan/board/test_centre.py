@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.board.centre import disc_height, fit_centres, window_sigma
+from lscan.board.picture import disc_height, fit_centres, window_sigma
 
 HALF = 20
 

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.board import chesslattice
-from lscan.board.chessboard import read_chessboard
-from lscan.board.chesslattice import find_lattice
+from lscan.board import chessboard as chesslattice
+from lscan.board.chessboard import find_lattice, read_chessboard
 from lscan.errors import BoardNotFound
 from lscan.records import Bytes, Floats
 from sim.validation.field.drawn import DrawnView, chessboard_grey, photographed

@@ -11,7 +11,7 @@ from places import PAPER_BOARD
 from typer.testing import CliRunner
 
 from lscan.board import read_board
-from lscan.board.plate import board_svg
+from lscan.board.drawing import board_svg
 from lscan.cli.app import app
 from lscan.config.board import Board, Grid, Plate, load_board
 from lscan.errors import InputError

@@ -6,8 +6,8 @@ from boards import Light, View, render
 from places import PAPER_BOARD
 
 from lscan.board import read_board
-from lscan.board.centre import fit_centres
 from lscan.board.lattice import drop_islands, drop_outliers, grid_points_mm, local_map
+from lscan.board.picture import fit_centres
 from lscan.board.search import Nodes
 from lscan.config.board import load_board
 from lscan.records import Floats

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from places import PAPER_BOARD
 
 from lscan.board import read_board
-from lscan.board.scatter import lattice_scatter
+from lscan.board.lattice import lattice_scatter
 from lscan.board.search import Nodes
 from lscan.config.board import load_board
 

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given, strategies as st
 
-from lscan.board.centre import Centres
+from lscan.board.picture import Centres
 from lscan.board.search import Nodes, moved, seeded, spread
 from lscan.records import Floats, Mask
 
