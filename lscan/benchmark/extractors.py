@@ -11,8 +11,8 @@ from lscan.benchmark.timing import median_seconds
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Floats, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.noise.bound import centre_bound_px
-from lscan.stripe.noise.model import stated_noise
+from lscan.stripe.noise import stated_noise
+from lscan.stripe.scatter import centre_bound_px
 
 WIDTHS_PX = (0.8, 1.5, 3.0)
 PEAKS_DN = (20.0, 200.0, 500.0)  # dim, bright, and twice what the range holds

@@ -159,7 +159,7 @@ def _stripes(
     from lscan.errors import InputError
     from lscan.records import has_value
     from lscan.stripe import extract_stripe
-    from lscan.stripe.parts import extract_within, told_apart
+    from lscan.stripe.extract import extract_within, told_apart
 
     find = extract_stripe if keep is None else partial(extract_within, keep=keep)
     if not both:
@@ -193,8 +193,8 @@ def _width_px(image: Bytes, settings: StripeSection, stripe: Stripe) -> float:
     import numpy as np
 
     from lscan.records import has_value
-    from lscan.stripe.lines import lines_of
-    from lscan.stripe.width import FWHM, line_width
+    from lscan.stripe.peaks import FWHM, line_width
+    from lscan.stripe.picture import lines_of
 
     at = np.flatnonzero(has_value(stripe.status))
     if len(at) == 0:

@@ -8,10 +8,9 @@ from lscan.config.rig import StripeSection
 from lscan.live.maptable import LiveProfile, MapTable
 from lscan.records import Bytes, Floats, GreyValues, Ints, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.lines import PictureLines, lines_of
-from lscan.stripe.noise.model import constant_variance
-from lscan.stripe.ranks import crests
-from lscan.stripe.width import line_width
+from lscan.stripe.noise import constant_variance
+from lscan.stripe.peaks import crests, line_width
+from lscan.stripe.picture import PictureLines, lines_of
 
 FULL_WIDTH = 2 * np.sqrt(2 * np.log(2))
 """Full width at half height of a Gaussian of unit standard deviation."""

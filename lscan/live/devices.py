@@ -25,7 +25,7 @@ from lscan.devices.api import (
 )
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.live.errors import one_line
-from lscan.stripe.lines import check_picture
+from lscan.stripe.picture import check_picture
 
 Show = Callable[[Grab], None]
 

@@ -16,7 +16,7 @@ from lscan.roughness.linereading import LineReading
 from lscan.roughness.model import PowerLaw
 from lscan.roughness.patch import MM_PER_CM, Patch
 from lscan.roughness.spectra import PatchSpectrum
-from lscan.stripe.corrections.blur import correction_gain
+from lscan.stripe.corrections import correction_gain
 from lscan.surface.sheetresponse import transfer
 
 FARTHEST_DB = 1.0  # that a spectrum may be off at its cutoff

@@ -1,7 +1,5 @@
 """Stripe extractors: where the centre of the laser line is in each column of a picture."""
 
-from lscan.stripe.extract import extract_stripe, find_extractor
-from lscan.stripe.files import save_stripe
-from lscan.stripe.overlay import draw_stripe
+from lscan.stripe.extract import draw_stripe, extract_stripe, find_extractor, save_stripe
 
 __all__ = ["draw_stripe", "extract_stripe", "find_extractor", "save_stripe"]

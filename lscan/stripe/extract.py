@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, TypeVar, cast
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,19 +12,25 @@ from numpy.typing import NDArray
 from lscan.config.plugins import find_plugin_or_function, frames_of_others, raised
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
-from lscan.records import Bytes, Floats, GreyValues, Mask, Status, Stripe
+from lscan.files.disk import write_atomically
+from lscan.records import (
+    Axis,
+    Bytes,
+    Floats,
+    GreyValues,
+    Mask,
+    PlanePoints,
+    Status,
+    Stripe,
+    has_value,
+)
 from lscan.stripe.api import Extractor, Picture, require_stripe, stripes_by, takes_integers
-from lscan.stripe.core import core_flux
-from lscan.stripe.corrections.blur import correct_blur
-from lscan.stripe.corrections.smoothing import smooth
-from lscan.stripe.edges import doubted
-from lscan.stripe.lines import PictureLines, check_pair, faint_threshold, lines_of
-from lscan.stripe.noise.along import at_least_seen
-from lscan.stripe.noise.coding import is_coded
-from lscan.stripe.noise.model import difference_noise
-from lscan.stripe.peaks import clipped_near
+from lscan.stripe.corrections import correct_blur, smooth
+from lscan.stripe.noise import difference_noise, is_coded
+from lscan.stripe.peaks import clipped_near, core_flux, doubted, in_one, joined, parted
+from lscan.stripe.picture import PictureLines, check_pair, check_picture, faint_threshold, lines_of
 from lscan.stripe.returns import OneReturn, choose_return, withhold
-from lscan.stripe.sidebyside import in_one, joined, parted
+from lscan.stripe.scatter import at_least_seen
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -252,3 +259,204 @@ def _extent(clipped: Mask) -> Floats:
     """Distance in px between the first and the last pixel set in each row of (K, L)."""
     last = clipped.shape[1] - 1 - clipped[:, ::-1].argmax(axis=1)
     return (last - clipped.argmax(axis=1)).astype(float)
+
+
+# The line in a part of the picture, and the two lines of a scanner with two lasers.
+
+
+SAME_PX = 1.0  # two lines nearer to each other are one, found twice
+
+
+def extract_within(
+    image: Bytes, settings: StripeSection, keep: Mask, background: Bytes | None = None
+) -> Stripe:
+    """The laser line in a part of the picture; elsewhere the entries say NO_DATA.
+
+    The picture is cropped to the part.  Within the crop, what does not belong to the part is cut
+    off at the median of its column (or row) in the part, so that nothing stands out there.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    settings : StripeSection, as for ``extract_stripe``
+    keep : (H, W) mask, of the pixels in which the line may lie
+    background : array, optional, same shape as the image, the same view with the laser off
+
+    Returns
+    -------
+    Stripe
+        Of the whole picture's W entries (or H), px and DN.
+
+    Raises
+    ------
+    InputError
+        Where no pixel is kept, for a mask of another shape or type, or as ``extract_stripe``.
+
+    Examples
+    --------
+    >>> import lscan, numpy as np
+    >>> image = np.zeros((20, 4), dtype=np.uint8)
+    >>> image[3:6], image[12:15] = 250, 90
+    >>> keep = np.zeros((20, 4), dtype=bool)
+    >>> keep[8:, 1:] = True
+    >>> extract_within(image, lscan.StripeSection(), keep).centre_px
+    array([nan, 13., 13., 13.])
+    """
+    check_pair(image, background)
+    where = "part of the picture"
+    if keep.dtype != np.bool_ or keep.shape != image.shape[:2]:
+        mask, allowed = f"{keep.dtype} {keep.shape}", f"bool {image.shape[:2]}"
+        raise InputError("is no mask of the picture", where=where, value=mask, allowed=allowed)
+    if not keep.any():
+        raise InputError("leaves no pixel of the picture", where=where)
+    rows, columns = (np.flatnonzero(keep.any(axis=axis)) for axis in (1, 0))
+    box = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    inside, axis = keep[box], settings.axis
+    dark = None if background is None else _cut_off(background[box], inside, axis)
+    found = extract_stripe(_cut_off(image[box], inside, axis), settings, dark)
+    across, along = (rows[0], columns[0]) if axis == "columns" else (columns[0], rows[0])
+    whole = image.shape[1] if axis == "columns" else image.shape[0]
+    return _placed(_only(found, inside), int(along), float(across), whole)
+
+
+def told_apart(first: Stripe, last: Stripe) -> tuple[Stripe, Stripe]:
+    """The two lines of a scanner with two lasers, from the first and the last line of each column.
+
+    Where they are the same line, nothing tells which of the two it is: AMBIGUOUS.
+
+    Parameters
+    ----------
+    first, last : Stripe, px, of one picture, with ``returns`` "first" and "last"
+
+    Returns
+    -------
+    tuple of Stripe
+        The upper line and the lower (for rows: the left and the right).
+    """
+    same = np.abs(first.centre_px - last.centre_px) <= SAME_PX  # False where either is NaN
+    return withhold(first, same), withhold(last, same)
+
+
+def _cut_off(image: Bytes, keep: Mask, axis: Axis) -> Bytes:
+    """The picture, at most as bright beyond the part as each column's median within it."""
+    if keep.all():
+        return image
+    across = 0 if axis == "columns" else 1
+    inside = keep if image.ndim == 2 else np.repeat(keep[:, :, None], 3, axis=2)
+    # Of a masked array: a column of which nothing is kept has the median 0.
+    level = np.ma.median(np.ma.array(image, mask=~inside), axis=across, keepdims=True).filled(0)
+    cut = np.minimum(image, level.astype(np.uint8))
+    return np.where(inside, image, cut)
+
+
+def _only(stripe: Stripe, keep: Mask) -> Stripe:
+    """The stripe with NO_PEAK where its centre lies beyond the part."""
+    at = np.flatnonzero(has_value(stripe.status))
+    u, v = np.rint(stripe.image_px[at]).astype(int).T
+    height, width = keep.shape
+    outside = np.zeros(len(stripe.status), dtype=bool)
+    outside[at] = ~keep[np.clip(v, 0, height - 1), np.clip(u, 0, width - 1)]
+    return withhold(stripe, outside, Status.NO_PEAK)
+
+
+def _placed(stripe: Stripe, along: int, across: float, whole: int) -> Stripe:
+    """The stripe of a crop as one of the whole picture.
+
+    along, across: px, where the crop begins.  whole: entries of the whole picture.
+    """
+
+    placed: dict[str, Any] = {}
+    for name, values in vars(replace(stripe, centre_px=stripe.centre_px + across)).items():
+        if isinstance(values, np.ndarray):
+            nothing = int(Status.NO_DATA) if name == "status" else np.nan
+            placed[name] = np.full(whole, nothing)
+            placed[name][along : along + len(values)] = values
+    return replace(stripe, **placed)
+
+
+# The line of one picture as a table.
+
+
+def save_stripe(path: Path, stripe: Stripe, points: PlanePoints | None = None) -> None:
+    """Write the stripe as CSV: one row a column (or row), empty fields where there is no line.
+
+    Parameters
+    ----------
+    path : Path, of the file
+    stripe : Stripe, px and DN, of N entries
+    points : PlanePoints, optional, mm, the N points in the laser sheet: five columns more
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+    """
+    along = "column" if stripe.axis == "columns" else "row"
+    heading = f"{along},centre_px,sigma_px,peak_dn,status"
+    numbers = np.column_stack([stripe.centre_px, stripe.sigma_px, stripe.peak])
+    table = [
+        f"{index},{_fields(row)},{Status(status).name}"
+        for index, (row, status) in enumerate(zip(numbers, stripe.status, strict=True))
+    ]
+    if points is not None:
+        heading += ",x_mm,z_mm,sigma_x_mm,sigma_z_mm,status_mm"
+        in_mm = np.hstack([points.xz_mm, points.sigma_mm])
+        table = [
+            f"{line},{_fields(row)},{Status(status).name}"
+            for line, row, status in zip(table, in_mm, points.status, strict=True)
+        ]
+    write_atomically(path, ("\n".join([heading, *table]) + "\n").encode())
+
+
+def _fields(values: np.ndarray) -> str:
+    return ",".join("" if np.isnan(value) else repr(float(value)) for value in values)
+
+
+# Pictures of what an extractor found.
+
+
+_COLOUR = {
+    Status.OK: (0, 255, 0),
+    Status.SATURATED: (255, 200, 0),
+    Status.AT_BORDER: (255, 0, 255),
+    Status.NO_PEAK: (90, 90, 90),
+}
+_OTHER_COLOUR = (0, 160, 255)
+_COLOURS = np.array([_COLOUR.get(code, _OTHER_COLOUR) for code in Status], dtype=np.uint8)
+_EDGE_PX = 4
+
+
+def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
+    """A copy of ``image`` as (H, W, 3) RGB with the stripe drawn over it.
+
+    The pixel nearest each centre is green, or amber where the line is clipped.  A band of 4
+    pixels along the top (for rows: left) edge shows the status of every entry: grey for
+    NO_PEAK, magenta for AT_BORDER, blue for any other.
+
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB, the picture the stripe was found in
+    stripe : Stripe, px
+
+    Raises
+    ------
+    InputError
+        Where the picture is none or the stripe is not of its size.
+    """
+    check_picture(image, where="image")
+    canvas = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
+    # A view with one row per entry of the stripe: what is painted there is in the picture.
+    lines = canvas.transpose(1, 0, 2) if stripe.axis == "columns" else canvas
+    if len(stripe.status) != len(lines):
+        raise InputError(
+            "stripe is not of the picture's size",
+            where="draw_stripe",
+            value=len(stripe.status),
+            allowed=f"{len(lines)} {stripe.axis}",
+        )
+    colours = _COLOURS[stripe.status]
+    lines[:, :_EDGE_PX] = colours[:, None]
+    valued = np.flatnonzero(has_value(stripe.status))
+    nearest = np.rint(stripe.centre_px[valued]).astype(int)
+    lines[valued, np.clip(nearest, 0, lines.shape[1] - 1)] = colours[valued]
+    return canvas

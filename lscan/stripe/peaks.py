@@ -1,15 +1,112 @@
 """Which columns of a picture have a line in them, and at which pixel it peaks."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
-from lscan.stripe.ranks import crests, ranked
+from lscan.records import Floats, GreyValues, Ints, Mask, Singles, Status, Stripe, has_value, select
+
+# Values of a rank in the columns of a picture: the highest, and the median.
+
+
+_SPARSE = 8  # a first guess is made of every eighth pixel of every eighth column
+
+
+def crests(columns: GreyValues) -> Ints:
+    """(W,) row of the highest value of each column, the first of several equal ones.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+
+    Examples
+    --------
+    >>> crests(np.array([[7, 3, 200, 200]], dtype=np.uint8))
+    array([2])
+    """
+    # NumPy finds the place of the highest float sooner than that of the highest integer.
+    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32)
+    return floats.argmax(axis=1)
+
+
+def ranked(columns: GreyValues, rank: int) -> Floats:
+    """(W,) DN, of each column the value that ``rank`` of its pixels come before in rising order.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row; floats are rounded to single
+        precision, in which a camera's grey values are exact
+    rank : int, 0 for the lowest, below H
+
+    Examples
+    --------
+    >>> ranked(np.array([[7, 3, 200, 3]], dtype=np.uint8), 2)
+    array([7.])
+    """
+    if not np.issubdtype(columns.dtype, np.integer):
+        return _ranked_floats(columns.astype(np.float32, copy=False), rank)
+    # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
+    # at a value that most columns are near to, and goes from there in steps twice as long each.
+    sample = columns[::_SPARSE, ::_SPARSE].ravel()
+    place = rank * sample.size // columns.shape[1]
+    start = int(np.partition(sample, place)[place])
+    middle, step = np.full(len(columns), start), 1
+    least, most = (np.full(len(columns), int(end)) for end in (columns.min(), columns.max()))
+    while True:
+        up_to = (columns <= middle.astype(columns.dtype)[:, None]).view(np.uint8)
+        enough = cv2.reduce(up_to, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)[:, 0] > rank
+        least, most = np.where(enough, least, middle + 1), np.where(enough, middle, most)
+        if (least >= most).all():
+            return least.astype(np.float64)
+        half = (least + most) // 2
+        near = np.where(enough, np.maximum(most - step, half), np.minimum(least + step - 1, half))
+        middle, step = near, 2 * step
+
+
+def _ranked_floats(columns: Singles, rank: int) -> Floats:
+    """The same of floats: of columns that hold grey values alone by counting these."""
+    with np.errstate(invalid="ignore"):
+        grey = columns.astype(np.uint8 if columns.min() >= 0 else np.int16)
+    whole = (grey == columns).all(axis=1)
+    values, others = np.empty(len(columns)), columns[~whole]
+    values[~whole] = np.partition(others, rank, axis=1)[:, rank]
+    if whole.any():
+        values[whole] = ranked(grey[whole], rank)
+    return values
+
+
+def medians(columns: GreyValues) -> Floats:
+    """(W,) DN, the median of each column, of two in the middle their mean.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, as :func:`ranked` takes them
+
+    Examples
+    --------
+    >>> medians(np.array([[7, 3, 200, 3]], dtype=np.uint8))
+    array([5.])
+    """
+    if not np.issubdtype(columns.dtype, np.integer):
+        columns = columns.astype(np.float32)
+    half = columns.shape[1] // 2
+    upper = ranked(columns, half)
+    if columns.shape[1] % 2:
+        return upper
+    below = columns < upper.astype(columns.dtype)[:, None]
+    apart = np.flatnonzero(np.count_nonzero(below, axis=1) == half)  # the lower one is less
+    lower = upper.copy()
+    lower[apart] = np.where(below[apart], columns[apart], columns.min()).max(axis=1)
+    return (lower + upper) / 2
+
+
+# Which columns of a picture have a line in them, and at which pixel it peaks.
+
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -153,3 +250,217 @@ def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
     valued = np.flatnonzero(has_value(stripe.status))
     middle = np.rint(stripe.centre_px[valued]).astype(int)
     return valued[windows(clipped, valued, middle, span_px).any(axis=1)]
+
+
+# Pictures side by side, as one wide picture: what goes by columns takes all in one step.
+#
+# To begin a step takes NumPy longer than that step does for the columns of one picture.
+
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+_Work = Callable[[Sequence[_Item]], list[_Result]]
+
+
+def in_one(
+    work: _Work[_Item, _Result], items: Sequence[_Item], kind: Callable[[_Item], Hashable]
+) -> list[_Result]:
+    """What ``work`` makes of each of the items: in one call if they are alike, else one by one.
+
+    Parameters
+    ----------
+    work : callable, from items of one kind to a result for each
+    items : sequence, one or more
+    kind : callable, of an item: equal for those that are alike
+    """
+    if len(set(map(kind, items))) == 1:
+        return work(items)
+    return [result for item in items for result in work([item])]
+
+
+def joined(stripes: Sequence[Stripe]) -> Stripe:
+    """One stripe of the entries of all.
+
+    Parameters
+    ----------
+    stripes : sequence of Stripe, px, of one axis, without flux
+    """
+    each = [(one.centre_px, one.sigma_px, one.peak, one.status) for one in stripes]
+    return Stripe(stripes[0].axis, *map(np.concatenate, zip(*each, strict=True)))
+
+
+def parted(stripe: Stripe, count: int) -> list[Stripe]:
+    """The stripes that :func:`joined` made one of.
+
+    Parameters
+    ----------
+    stripe : Stripe, px
+    count : int, of parts of the same length
+    """
+    length = len(stripe.status) // count
+    return [select(stripe, slice(k * length, (k + 1) * length)) for k in range(count)]
+
+
+# How wide the laser line is in a picture.
+
+
+_REACH_PX = 30
+FWHM = float(2 * np.sqrt(2 * np.log(2)))
+"""Full width at half height of a Gaussian, of its standard deviation."""
+_NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's width
+
+
+def line_width(columns: GreyValues, at: Ints, crest: Ints) -> float:
+    """Standard deviation in px, along the columns, of a Gaussian as wide as the line.
+
+    The columns are laid over each other with their brightest pixels together; the width is
+    that of their mean profile at half its height above its lowest value, over 2.355.  A
+    clipped crest widens it, as a bright line's is to be.  Never below 0.5 px.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    at : (K,) array, indices of the columns that have a line, at least one
+    crest : (K,) array, px, row of the highest value of each of those
+    """
+    reach = min(_REACH_PX, columns.shape[1] - 1)
+    profile = windows(columns, at, crest, reach).mean(axis=0)
+    half = (profile[reach] + profile.min()) / 2
+    fwhm = _reach(profile[reach:], half) + _reach(profile[reach::-1], half)
+    return max(fwhm / FWHM, _NARROWEST_PX)
+
+
+def _reach(flank: Floats, level: float) -> float:
+    """Pixels from the first of a flank to where it first falls to a level, or to its end."""
+    low = flank <= level
+    at = int(low.argmax())
+    if not low[at]:
+        return float(len(flank) - 1)
+    return at - float((level - flank[at]) / (flank[at - 1] - flank[at])) if at else 0.0
+
+
+# Light of a line's core above the ground beside it: what shows where the line ends.
+
+
+CORE_PX = 2  # on either side of the centre: more would take in what walls beside a line throw back
+GROUND_PX = (4, 6)
+"""First and last pixel, on either side, that give the ground: clear of a line of 1.2 px, near
+enough that a wall or a halo is as bright there as beneath the line."""
+
+
+def core_flux(stripe: Stripe, *lights: GreyValues) -> Floats:
+    """(N,) light within CORE_PX of the line's centre above the ground beside it, DN.
+
+    NaN where the stripe has no value, and where no light is left above the ground.
+
+    The ground is the mean of the pixels at GROUND_PX on both sides.  The halo of light that
+    water scatters is as bright there as beneath the line; a lit wall that hangs from the line's
+    end fills one half of the core and one of the two sides.  Both would otherwise fill the foot
+    of the fall of light at that end, which shows where the line ends, and move it outwards.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    lights : array, DN, (N, L) with a row for each entry of the stripe; or several of one size, each
+        with the rows of the next entries
+    """
+    flux = np.full(len(stripe.status), np.nan)
+    valued = np.flatnonzero(has_value(stripe.status))
+    row = np.rint(stripe.centre_px[valued]).astype(int)
+    steps = np.abs(np.arange(-GROUND_PX[1], GROUND_PX[1] + 1))
+    beside, core = steps >= GROUND_PX[0], steps <= CORE_PX
+    weights = core * beside.sum() - beside * core.sum()  # whole: of even light nothing is left
+    total = windows_beside(lights, valued, row, GROUND_PX[1]) @ weights / beside.sum()
+    flux[valued] = np.where(total > 0, total, np.nan)
+    return flux
+
+
+# What an edge of the target's texture along the line does to the line's centre.
+
+
+_BESIDE = ((1.5, 2.5), (2.5, 4.5))
+"""Where the ground beside the line is seen, in standard deviations of the line from its centre: in
+the flanks, which are symmetric where no edge crosses them, and beyond."""
+
+_ROUNDING_DN = 0.5  # a ground of 0 DN has been anything up to that: no edge is sharper
+
+
+def doubted(stripe: Stripe, light: GreyValues, ground: GreyValues, threshold_dn: float) -> Stripe:
+    """The stripe with sigma_px enlarged where the target is brighter on one side of the line.
+
+    A line half on white and half on black is seen displaced towards the white.  Where the white,
+    r times as bright, begins d standard deviations from the middle, the line's flank is there
+    r exp(-d² / 2) times as bright as its crest, and is taken for it up to d = sqrt(2 ln r).
+    A centroid, to which the black contributes as well, is displaced by less than (r - 1) / (r + 1)
+    of that (from r = 1.4 on; before, by less than 0.14 standard deviations), which is what is
+    allowed for.  The target under other light shows r.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    light : (N, L) array, DN, the line, one row for each entry of the stripe
+    ground : (N, L) array, DN, the target; light of the line's own is symmetric
+    threshold_dn : float, DN, what a darker ground says nothing against
+
+    References
+    ----------
+    The limit is derived above; a uniform distribution up to it on either side, JCGM 100:2008,
+    sec. 4.3.7.
+    """
+    at = np.flatnonzero(has_value(stripe.status))
+    if len(at) == 0:
+        return stripe
+    width_px = line_width(light, at, crests(light)[at])
+    row = np.rint(stripe.centre_px[at]).astype(np.int64)
+    reach_px = np.zeros(len(at))
+    least_dn = max(threshold_dn / 4, _ROUNDING_DN)
+    for first, last in _BESIDE:
+        beside = np.arange(int(np.ceil(first * width_px)), int(np.ceil(last * width_px)) + 1)
+        above, below = (windows(ground, at, row, side).mean(axis=1) for side in (-beside, beside))
+        # Colours less each other may leave a negative ground.
+        one, other = np.abs(above) + least_dn, np.abs(below) + least_dn
+        contrast, ratio = np.abs(one - other) / (one + other), np.abs(np.log(one / other))
+        reach_px = np.maximum(reach_px, contrast * np.sqrt(2 * ratio) * width_px)
+    sigma_px = stripe.sigma_px.copy()
+    sigma_px[at] = np.hypot(sigma_px[at], reach_px / np.sqrt(3))
+    return replace(stripe, sigma_px=sigma_px)
+
+
+# The pieces of a stripe: stretches of neighbouring columns between gaps and jumps.
+
+
+JUMP_PX = 3.0
+"""A line that moves further than this from one column to the next has jumped: another surface
+begins there.  It is the slope (72 degrees) above which a line is rather one of the rows."""
+
+
+def pieces(stripe: Stripe) -> Ints:
+    """(N,) number of the piece each column belongs to, from 0; -1 where there is no value.
+
+    A piece ends where a column has no value and where the centre moves by more than JUMP_PX.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    """
+    valued = has_value(stripe.status)
+    step = np.abs(np.diff(np.where(valued, stripe.centre_px, 0.0)))
+    goes_on = valued[1:] & valued[:-1] & (step <= JUMP_PX)
+    begins = valued.copy()
+    begins[1:] &= ~goes_on
+    return np.where(valued, np.cumsum(begins) - 1, -1)
+
+
+def neighbours(piece: Ints, steps: Ints) -> tuple[Ints, Mask]:
+    """(N, n) entries some steps from each, and the mask of those of the same piece.
+
+    Beyond the ends it is the entry at the end, which is not in the mask.
+
+    Parameters
+    ----------
+    piece : (N,) array, as :func:`pieces` numbers them
+    steps : (n,) array, entries
+    """
+    at = np.arange(len(piece))[:, None] + steps
+    inside = np.clip(at, 0, len(piece) - 1)
+    return inside, (at == inside) & (piece[inside] == piece[:, None]) & (piece[:, None] >= 0)

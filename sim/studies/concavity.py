@@ -3,7 +3,7 @@
 The paper's open question (its Sec. V): the error follows the target's concavity.  Here a
 short scan is rendered without noise, each line is found as the centroid of all its light,
 and its height is compared with the truth.  The plane map, the alignment and the sensor have
-no part in it, so what is left are the blur along the line (lscan.stripe.corrections.blur), the
+no part in it, so what is left are the blur along the line (lscan.stripe.corrections), the
 sheet's thickness (lscan.surface.concavity) and what neither describes.
 """
 
@@ -20,7 +20,7 @@ from lscan.config.rig import SheetSection, StripeSection, load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically, write_json
 from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface
-from lscan.stripe.corrections.blur import correct_blur
+from lscan.stripe.corrections import correct_blur
 from lscan.surface.thickness import correct_thickness
 from sim.render.tank import Tank
 from sim.scene import Scene, scene_of

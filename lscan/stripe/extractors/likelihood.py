@@ -9,12 +9,10 @@ from scipy.ndimage import median_filter
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import Picture, on_integers, together
-from lscan.stripe.crosssection import CENTRE, LN_WIDTH, TILT
 from lscan.stripe.extractors.survey import Survey, surveys, weak_precision
-from lscan.stripe.fit import LineFit, fit_lines
-from lscan.stripe.noise.model import robust_variance
+from lscan.stripe.fit import CENTRE, LN_WIDTH, TILT, LineFit, LinePrior, LineSearch, fit_lines
+from lscan.stripe.noise import robust_variance
 from lscan.stripe.peaks import centred, clipped_near
-from lscan.stripe.scoring import LinePrior, LineSearch
 
 _NEIGHBOURS = 31
 _FEWEST_TRIPLES = 16

@@ -16,11 +16,8 @@ from scipy.special import ndtr
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import on_integers
-from lscan.stripe.noise.model import Noise, line_noise, stated_noise
-from lscan.stripe.peaks import windows
-from lscan.stripe.pieces import pieces
-from lscan.stripe.ranks import crests, medians
-from lscan.stripe.width import line_width
+from lscan.stripe.noise import Noise, line_noise, stated_noise
+from lscan.stripe.peaks import crests, line_width, medians, pieces, windows
 
 _REACH = 4  # standard deviations at which the Gaussian kernels end
 _FINEST_PX = 1.0  # a Gaussian less wide lets the pixels' raster through

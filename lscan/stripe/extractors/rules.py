@@ -7,20 +7,20 @@ pixel, through which the pixels' noise reaches the centre, and so does what the 
 differs by (noise/scatter.py).  sigma_px holds all three.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import wraps
+from functools import partial, wraps
+from typing import cast
 
 import numpy as np
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, GreyValues, Mask, Stripe
-from lscan.stripe.api import Extractor, on_integers
-from lscan.stripe.crosssection import lines, parameters_of
+from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
+from lscan.stripe.api import Extractor, Picture, Several, on_integers, together
 from lscan.stripe.extractors.survey import Survey, survey
-from lscan.stripe.noise.model import Noise
-from lscan.stripe.peaks import centred
-from lscan.stripe.scoring import LineWindows
+from lscan.stripe.fit import LineWindows, lines, parameters_of
+from lscan.stripe.noise import Noise, line_noise
+from lscan.stripe.peaks import centred, in_one, nominal_peaks, parted, windows_beside
 
 
 @dataclass(frozen=True)
@@ -146,3 +146,383 @@ def _ideal(steps: Floats, offset: Floats, width: Floats, light: Floats) -> Float
     level = np.zeros(len(offset))
     height = flux / (np.sqrt(2 * np.pi) * width)
     return lines(parameters_of(offset, width, height, level, level), steps).light
+
+
+# The stripe extractors of the paper: brightest pixel, centroid, centroid of relative values.
+#
+# All three start from the nominal peak of each column, the first maximum from the top, and
+# look at the window of ``span_px`` pixels on either side of it (Sec. V.B).  They differ only in
+# how far from the nominal peak they put the centre of the line:
+#
+# - ``maximum``: at the nominal peak itself;
+# - ``centroid``: eq. (8) with the grey values as weights;
+# - ``centroid_relative``: eq. (8) with the smallest grey value of the window subtracted first.
+#
+# None of them takes account of which pixels are clipped.
+
+
+Centring = Callable[[Floats], tuple[Floats, Floats]]
+"""From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
+and the derivative (K, n) of that offset by each grey value, in px/DN."""
+
+
+def _by(centring: Centring, guesses_background: bool = False) -> Several:
+    """The extractor of a rule, of pictures side by side where they are alike."""
+    work = partial(_alike, centring=centring, guesses_background=guesses_background)
+    return partial(in_one, work, kind=lambda picture: (picture[1], picture[0].shape))
+
+
+def _alike(
+    pictures: Sequence[Picture], centring: Centring, guesses_background: bool
+) -> list[Stripe]:
+    """The stripes of pictures of one size with the same settings.
+
+    A column has a line where its highest value exceeds its median by more than
+    ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
+
+    sigma_px combines the noise of the pixels (noise/model.py), carried through the derivative of
+    the centre; the choice of the nominal peak; and, where the rule ``guesses_background``
+    from the window, that guess.  For a Gaussian line the last two are the size of what the
+    window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.
+    Fast where ``image.T`` is contiguous in memory.
+    """
+    columns = [np.ascontiguousarray(image.T) for image, _, _ in pictures]
+    settings = pictures[0][1]
+    stripe, peaks = nominal_peaks(columns, settings)
+    if len(peaks.columns) == 0:
+        return parted(stripe, len(pictures))
+    # One pixel wider than the window on either side, to try the neighbour as nominal peak.
+    wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
+    window = wide[:, 1:-1]
+    light = window - peaks.base[:, None]
+    variance = _variance(columns, light, peaks.columns)
+    offset, slope = centring(window)
+    variance_px = (slope**2 * variance).sum(axis=1)
+    variance_px += _choice_variance(wide, offset, variance, centring)
+    if guesses_background:
+        variance_px += _background_variance(light, offset)
+
+    # Only grey values that are negative can throw the centroid out of its window.
+    kept = np.abs(offset) <= settings.span_px
+    found = centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
+    return parted(found, len(pictures))
+
+
+def _variance(pictures: Sequence[GreyValues], light: Floats, at: Ints) -> Floats:
+    """Variance (K, n) in DN² of the light, by the noise of the picture that it was found in."""
+    begin = np.searchsorted(at, np.arange(1, len(pictures)) * len(pictures[0]))
+    known = zip(pictures, np.split(light, begin), np.split(at, begin), strict=True)
+    return np.concatenate([line_noise(one, seen, to).variance(seen) for one, seen, to in known])
+
+
+def _no_offset(window: Floats) -> tuple[Floats, Floats]:
+    return np.zeros(len(window)), np.zeros_like(window)
+
+
+def _centroid_offset(window: Floats) -> tuple[Floats, Floats]:
+    """Eq. (8) about the middle pixel; NaN where the weights have no positive sum."""
+    reach = window.shape[1] // 2
+    steps = np.arange(-reach, reach + 1, dtype=float)
+    total = window.sum(axis=1)
+    total = np.where(total > 0, total, np.nan)
+    offset = (window * steps).sum(axis=1) / total
+    return offset, (steps - offset[:, None]) / total[:, None]
+
+
+def _relative_offset(window: Floats) -> tuple[Floats, Floats]:
+    each, lowest = np.arange(len(window)), window.argmin(axis=1)
+    offset, slope = _centroid_offset(window - window[each, lowest][:, None])
+    # The lowest pixel is taken off all weights, so it moves the centroid through all of them.
+    slope[each, lowest] -= slope.sum(axis=1)
+    return offset, slope
+
+
+_maximum, _centroid = _by(_no_offset), _by(_centroid_offset)
+_centroid_relative = _by(_relative_offset, guesses_background=True)
+
+
+@on_integers
+@together(_maximum)
+def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the brightest pixel of each column, the first from the top of several equal ones.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_alike`
+    clipped : (H, W) mask, not used by the rule
+
+    References
+    ----------
+    Sec. V.B of the paper: the nominal peak.
+    """
+    return _maximum([(image, settings, clipped)])[0]
+
+
+@on_integers
+@together(_centroid)
+def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the centroid of the grey values about each column's nominal peak.
+
+    A background within the window draws it to the nominal peak.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_alike`
+    clipped : (H, W) mask, not used by the rule
+
+    References
+    ----------
+    Sec. V.B and eq. (8) of the paper.
+    """
+    return _centroid([(image, settings, clipped)])[0]
+
+
+@on_integers
+@together(_centroid_relative)
+def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+    """The line at the centroid of the grey values above the smallest one in the window.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span; see :func:`_alike`
+    clipped : (H, W) mask, not used by the rule
+
+    References
+    ----------
+    Sec. V.B of the paper: eq. (8) with the relative intensities.
+    """
+    return _centroid_relative([(image, settings, clipped)])[0]
+
+
+def _choice_variance(wide: Floats, offset: Floats, variance: Floats, centring: Centring) -> Floats:
+    """Variance in px² (K,) that comes from the choice of the nominal peak.
+
+    The paper notes that the result is sensitive to this choice.  It is measured: by how much
+    the centre would move with the brighter neighbour as nominal peak (a whole pixel at
+    most), times the number of pixels within two standard deviations of the peak, which might
+    have been chosen as well.  That is the width of a uniform distribution.  For ``maximum``
+    and a clear peak it is the width of a pixel; for a centroid whose window holds the whole
+    line it vanishes; between them it accounts for the tails that the window cuts off.
+
+    wide: (K, n + 2) windows with one more pixel on either side.  variance: (K, n) in DN².
+    """
+    middle = wide.shape[1] // 2
+    below = wide[:, middle + 1] >= wide[:, middle - 1]
+    neighbour = np.where(below[:, None], wide[:, 2:], wide[:, :-2])
+    moved = np.where(below, 1.0, -1.0) + centring(neighbour)[0]
+    step = np.fmin(np.abs(moved - offset), 1.0)  # a whole pixel too where it is NaN
+    near = wide[:, [middle]] - 2 * np.sqrt(variance[:, [middle - 1]])
+    candidates = (wide[:, 1:-1] >= near).sum(axis=1)
+    width: Floats = candidates * step
+    return width**2 / 12
+
+
+def _background_variance(light: Floats, offset: Floats) -> Floats:
+    """Variance in px² (K,) of a centre that took the window's smallest value for background.
+
+    That value may be the line's own tail; the column's median is the guess that cannot be.
+    The truth lies between the two centroids, rather near the one found than near the other:
+    a triangular distribution, whose mean square about its high end is a sixth of its width's.
+
+    light: (K, n) grey values above the column's median in DN.  offset: (K,) as found, in px.
+    """
+    other, _ = _centroid_offset(light)
+    width: Floats = np.fmin(np.abs(other - offset), 1.0)
+    return width**2 / 6
+
+
+# The log-parabola: of a Gaussian the logarithm is a parabola, whose vertex is the centre.
+
+
+_DYNAMIC = 10.0
+"""Of the logarithm: what a parabola puts farther below the peak has no weight to speak of."""
+
+_TRACE = 1e-10
+
+
+@extractor
+def gaussian(seen: LineLight) -> tuple[Floats, Floats]:
+    """The line by a parabola through the logarithms of the light about each column's peak.
+
+    Weighted least squares over the pixels within two widths, or as far beyond as there are
+    clipped ones, which are left out: the logarithm of light I with the variance V has the
+    variance V / I², so each pixel has the weight I² / V.  The weights come from the pixels
+    first, then from the parabola found, as noisy weights prefer what noise made bright; the
+    derivative holds them fixed.  Light below its own deviation counts as that: its logarithm says
+    no more.  See rules.py.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span
+    clipped : (H, W) mask, of the pixels that may have seen more light than they say
+
+    References
+    ----------
+    H. Guo, IEEE Signal Processing Magazine 28(5), 134 (2011).
+    """
+    reach = np.maximum(1, np.rint(2 * seen.width_px)) + seen.clipped.sum(axis=1) / 2
+    near = (np.abs(seen.steps) <= reach[:, None]) & ~seen.clipped
+    deviation = np.sqrt(seen.noise.variance(seen.light))
+    light = np.maximum(seen.light, deviation)
+    x = seen.steps / seen.width_px[:, None]  # of order 1, for the sake of the inverse
+    powers = x[:, None, :] ** np.arange(3)[None, :, None]
+    gain = _gain(powers, near * (light / deviation) ** 2)
+    most = np.log(light.max(axis=1, keepdims=True))
+    parabola = (_coefficients(gain, light)[:, None] @ powers)[:, 0]
+    fitted = np.exp(np.clip(parabola, most - _DYNAMIC, most))
+    gain = _gain(powers, near * fitted**2 / seen.noise.variance(fitted))
+    _, slope, bend = _coefficients(gain, light).T
+    bend = np.where((bend < 0) & (near.sum(axis=1) >= 3), bend, np.nan)
+    vertex = -slope / (2 * bend)
+    by_log = -(gain[:, 1] + 2 * vertex[:, None] * gain[:, 2]) / (2 * bend[:, None])
+    width = seen.width_px
+    return vertex * width, by_log * width[:, None] / light
+
+
+def _gain(powers: Floats, weight: Floats) -> Floats:
+    """(K, 3, n) the parabola's coefficients by each logarithm, in weighted least squares."""
+    weighted = powers * weight[:, None]
+    normal = weighted @ powers.transpose(0, 2, 1)
+    # Fewer than three pixels determine no parabola: this keeps it flat, and changes no other.
+    normal += _TRACE * np.eye(3) * (1 + np.trace(normal, axis1=1, axis2=2))[:, None, None]
+    return cast(Floats, np.linalg.solve(normal, weighted))
+
+
+def _coefficients(gain: Floats, light: Floats) -> Floats:
+    """(K, 3) coefficients of the parabola through the logarithms of ``light`` (K, n)."""
+    coefficients: Floats = (gain @ np.log(light)[..., None])[..., 0]
+    return coefficients
+
+
+# Blais and Rioux's peak detector: the zero crossing of a filtered derivative.
+
+
+@extractor
+def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
+    """The line where the derivative of each column's light crosses zero.
+
+    The derivative is the sum of the m pixels above less that of the m below, with m nearest twice
+    the line's width; between the two pixels where it changes sign it is taken as straight.
+    See rules.py.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span
+    clipped : (H, W) mask, of the pixels that may have seen more light than they say
+
+    References
+    ----------
+    Blais and Rioux, Signal Processing 11, 145 (1986), who use orders 2 m of 2, 4 and 8.
+    """
+    taps = np.maximum(np.rint(2 * seen.width_px), 1).astype(int)
+    filtered = _filtered(seen.light, taps)
+    rises = (filtered[:, :-1] < 0) & (filtered[:, 1:] >= 0)
+    inside = np.abs(seen.steps[:-1] + 0.5) <= np.ceil(2 * seen.width_px)[:, None] + 1
+    distance = np.where(rises & inside, np.abs(seen.steps[:-1] + 0.5), np.inf)
+    at = distance.argmin(axis=1)
+    found = np.isfinite(distance.min(axis=1))
+    every = np.arange(len(at))
+    before, after = filtered[every, at], filtered[every, at + 1]
+    rise = np.where(found, after - before, np.nan)
+    share = -before / rise
+    # d share = -[(1 - share) d before + share d after] / rise
+    upper, lower = _taps(seen.steps, at, taps), _taps(seen.steps, at + 1, taps)
+    derivative = -((1 - share)[:, None] * upper + share[:, None] * lower) / rise[:, None]
+    return seen.steps[at] + share, derivative
+
+
+def _filtered(light: Floats, taps: Ints) -> Floats:
+    """(K, n) sum of the ``taps`` (K,) pixels above each one less that of those below."""
+    n = light.shape[1]
+    total = np.concatenate([np.zeros((len(light), 1)), light.cumsum(axis=1)], axis=1)
+    place = np.arange(n)
+
+    def up_to(end: Ints) -> Floats:
+        return np.take_along_axis(total, np.clip(end, 0, n), axis=1)
+
+    above = total[:, :-1] - up_to(place - taps[:, None])
+    below = up_to(place + taps[:, None] + 1) - total[:, 1:]
+    return above - below
+
+
+def _taps(steps: Floats, at: Ints, taps: Ints) -> Floats:
+    """Coefficients (K, n) of each pixel in the filter's output at pixel ``at`` (K,)."""
+    distance = steps - steps[at][:, None]
+    return np.where(np.abs(distance) <= taps[:, None], -np.sign(distance), 0.0)
+
+
+# The peak of the smoothed column, by a parabola through three values about it.
+
+
+_APART = 0.5  # the three values', in widths of the line
+
+
+@extractor
+def smoothed_peak(seen: LineLight) -> tuple[Floats, Floats]:
+    """The line at the peak of each column smoothed with the line's own width.
+
+    A Gaussian as wide as the line is its matched filter: of all filters it raises the peak
+    most above the noise.  The smoothed column is a function of any place, not of pixels alone,
+    so the three values may be closer together than pixels: half a width.  See rules.py.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span
+    clipped : (H, W) mask, of the pixels that may have seen more light than they say
+    """
+    apart = _APART * seen.width_px
+    middle = _highest(seen)
+    kernels = _kernel(seen, (np.arange(-1, 2) + middle[:, None]) * apart[:, None])  # (K, 3, n)
+    before, peak, after = (kernels @ seen.light[..., None])[..., 0].T
+    bend = before - 2 * peak + after
+    bend = np.where(bend < 0, bend, np.nan)
+    vertex = (before - after) / (2 * bend)
+    by_value = np.stack([0.5 - vertex, 2 * vertex, -0.5 - vertex], axis=1) / bend[:, None]
+    derivative = (by_value[:, :, None] * kernels).sum(axis=1) * apart[:, None]
+    return (middle + vertex) * apart, derivative
+
+
+def _highest(seen: LineLight) -> Floats:
+    """(K,) place, in steps of half a width, of the highest value near the middle pixel."""
+    reach = int(np.ceil(np.max((seen.width_px + 2) / (_APART * seen.width_px))))
+    places = np.arange(-reach, reach + 1, dtype=float)
+    kernels = _kernel(seen, places * _APART * seen.width_px[:, None])
+    smooth = (kernels @ seen.light[..., None])[..., 0]
+    return places[smooth.argmax(axis=1)]
+
+
+def _kernel(seen: LineLight, places: Floats) -> Floats:
+    """Weights (K, P, n) of the pixels in the smoothed values at ``places`` (K, P)."""
+    width = seen.width_px[:, None, None]
+    distance = (seen.steps - places[:, :, None]) / width
+    return np.where(np.abs(distance) <= 4, np.exp(-0.5 * distance**2), 0.0)
+
+
+# The centroid of squared intensities: bright pixels count for more, noise far out for less.
+
+
+@extractor
+def centroid_squared(seen: LineLight) -> tuple[Floats, Floats]:
+    """The line at the centroid of the squared light within 2.5 widths of each column's peak.
+
+    The squares of a Gaussian are a Gaussian, narrower by sqrt(2): the window cuts off what
+    lies beyond 3.5 of its widths.  See rules.py.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, grey values
+    settings : StripeSection, threshold and span
+    clipped : (H, W) mask, of the pixels that may have seen more light than they say
+    """
+    reach = np.maximum(np.ceil(2.5 * seen.width_px), 2)[:, None]
+    light = np.where(np.abs(seen.steps) <= reach, seen.light, 0.0)
+    total = (light**2).sum(axis=1)
+    total = np.where(total > 0, total, np.nan)
+    offset = (light**2 @ seen.steps) / total
+    return offset, 2 * light * (seen.steps - offset[:, None]) / total[:, None]

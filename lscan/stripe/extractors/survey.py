@@ -14,12 +14,20 @@ from scipy.ndimage import median_filter
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, select
 from lscan.stripe.api import Picture
-from lscan.stripe.crosssection import LN_HEIGHT, LN_WIDTH, TILT, parameters_of
-from lscan.stripe.fit import LineFit, fit_lines
-from lscan.stripe.noise.model import Noise, constant_variance, sampled, stated_noise
-from lscan.stripe.noise.scatter import Scatter, scatter_of
+from lscan.stripe.fit import (
+    LN_HEIGHT,
+    LN_WIDTH,
+    TILT,
+    LineFit,
+    LinePrior,
+    LineSearch,
+    LineWindows,
+    fit_lines,
+    parameters_of,
+)
+from lscan.stripe.noise import Noise, constant_variance, sampled, stated_noise
 from lscan.stripe.peaks import Peaks, all_windows, nominal_peaks, windows
-from lscan.stripe.scoring import LinePrior, LineSearch, LineWindows
+from lscan.stripe.scatter import Scatter, scatter_of
 
 _SAMPLE = 256
 _NEIGHBOURS = 9  # of the sample, whose median holds for the columns between them

@@ -15,8 +15,8 @@ from lscan.config.rig import StripeSection
 from lscan.files.pictures import read_picture
 from lscan.records import Bytes, Floats, Status, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.crosssection import lines, parameters_of
-from lscan.stripe.pieces import neighbours, pieces
+from lscan.stripe.fit import lines, parameters_of
+from lscan.stripe.peaks import neighbours, pieces
 from sim.scene.instrument import Sensor
 from sim.sensor.coding import digitise, through_jpeg
 from sim.sensor.colour import ColourFilter

@@ -30,7 +30,7 @@ from lscan.errors import InputError
 from lscan.paper.experiment import Chain
 from lscan.paper.provenance import chain_versions
 from lscan.stripe import extract_stripe
-from lscan.stripe.extractors.paper import centroid
+from lscan.stripe.extractors.rules import centroid
 from lscan.suites import find_suite, suites_found
 from lscan.surface.provenance import provenance_of
 
@@ -53,7 +53,7 @@ def test_every_name_installed_is_found_and_listed_in_order(group: str) -> None:
 
 
 def test_a_function_of_the_users_needs_no_registering() -> None:
-    for name in ("centroid", "lscan.stripe.extractors.paper:centroid"):
+    for name in ("centroid", "lscan.stripe.extractors.rules:centroid"):
         assert find_plugin_or_function("lscan.extractors", name) is centroid
 
 

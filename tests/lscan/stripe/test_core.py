@@ -5,7 +5,7 @@ from hypothesis import given, settings, strategies as st
 from lines_drawn import drawn
 
 from lscan.records import Status, Stripe
-from lscan.stripe.core import CORE_PX, GROUND_PX, core_flux
+from lscan.stripe.peaks import CORE_PX, GROUND_PX, core_flux
 
 HEIGHT, WIDTH = 60, 40
 WIDTH_PX = 1.0

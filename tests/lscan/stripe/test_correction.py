@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, Status, Stripe, has_value
-from lscan.stripe.corrections.blur import (
+from lscan.stripe.corrections import (
     FEWEST_COLUMNS,
     PIXEL_VARIANCE,
     REACH_PX,

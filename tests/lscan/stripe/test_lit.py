@@ -12,12 +12,10 @@ from lscan.benchmark.litpictures import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.clipping import clipping_level
-from lscan.stripe.edges import doubted
-from lscan.stripe.lines import lines_of, strongest_excess
-from lscan.stripe.returns import choose_return
+from lscan.stripe.peaks import doubted
+from lscan.stripe.picture import clipping_level, lines_of, strongest_excess
+from lscan.stripe.returns import choose_return, paths_of
 from lscan.stripe.spots import Spots
-from lscan.stripe.texture import paths_of
 
 HEIGHT, WIDTH = 200, 300
 COLUMN = np.arange(WIDTH)

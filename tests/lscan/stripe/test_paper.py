@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
 from lscan.records import Status, has_value
-from lscan.stripe.extractors import paper
+from lscan.stripe.extractors import rules as paper
 
 ALL = [paper.maximum, paper.centroid, paper.centroid_relative]
 CENTROIDS = [paper.centroid, paper.centroid_relative]

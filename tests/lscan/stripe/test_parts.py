@@ -7,7 +7,7 @@ from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Axis, Bytes, Floats, Status, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.parts import extract_within, told_apart
+from lscan.stripe.extract import extract_within, told_apart
 
 HEIGHT, WIDTH = 120, 160
 SIGMA_PX, NOISE_DN = 1.5, 1.0

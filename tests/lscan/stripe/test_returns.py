@@ -7,7 +7,7 @@ from lines_drawn import drawn, lit_share, speckled
 
 from lscan.config.rig import StripeSection
 from lscan.records import Status, Stripe
-from lscan.stripe.extractors.paper import centroid_relative
+from lscan.stripe.extractors.rules import centroid_relative
 from lscan.stripe.returns import choose_return, withhold
 from lscan.stripe.spots import brightest, relief_of, spots_of
 

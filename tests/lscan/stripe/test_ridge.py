@@ -11,8 +11,7 @@ from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status
 from lscan.stripe import extract_stripe
 from lscan.stripe.extractors.ridge import steger
-from lscan.stripe.ranks import crests
-from lscan.stripe.width import line_width
+from lscan.stripe.peaks import crests, line_width
 
 HEIGHT, WIDTH = 90, 150
 FEW = settings(max_examples=12)

@@ -6,8 +6,8 @@ from hypothesis import given, settings, strategies as st
 from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
-from lscan.stripe.extractors import paper
-from lscan.stripe.noise import model as noise
+from lscan.stripe import noise
+from lscan.stripe.extractors import rules as paper
 
 HEIGHT, WIDTH = 480, 640
 

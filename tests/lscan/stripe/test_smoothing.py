@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.records import Status, Stripe
-from lscan.stripe.corrections.smoothing import smooth
-from lscan.stripe.pieces import pieces
+from lscan.stripe.corrections import smooth
+from lscan.stripe.peaks import pieces
 
 N = 200
 COLUMN = np.arange(N, dtype=float)

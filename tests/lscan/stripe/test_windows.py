@@ -12,11 +12,10 @@ from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Floats, Mask, Stripe
 from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.api import takes_integers
-from lscan.stripe.crosssection import _ndtr
 from lscan.stripe.extract import extract_stripes
-from lscan.stripe.noise.model import constant_variance, robust_variance
-from lscan.stripe.peaks import windows
-from lscan.stripe.ranks import crests, medians, ranked
+from lscan.stripe.fit import _ndtr
+from lscan.stripe.noise import constant_variance, robust_variance
+from lscan.stripe.peaks import crests, medians, ranked, windows
 from lscan.stripe.spots import _opened, relief_of, spots_near, spots_of
 
 HEIGHT, WIDTH = 260, 60

@@ -16,18 +16,18 @@ and of relief nothing is left but what is rough from one column to the next.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import compress
+from math import sqrt
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
-from lscan.stripe.noise.model import robust_variance
-from lscan.stripe.peaks import windows
-from lscan.stripe.pieces import pieces
-from lscan.stripe.width import line_width
+from lscan.stripe.fit import CENTRE, TILT, LineFit, lines, parameters_of
+from lscan.stripe.noise import Noise, robust_variance, scatter_noise
+from lscan.stripe.peaks import line_width, pieces, windows
 
 _Number = TypeVar("_Number", bound=np.number)
 
@@ -38,7 +38,7 @@ independent values: the sum of their squared autocorrelations, 1, -15/20, 6/20 a
 _LAGS = (1, 2, 4, 8, 16)  # columns; a block of JPEG has 8, of its subsampled colours 16
 _SETTLED = 1.25  # ratio of the variances at a lag and the one before that is no growth
 _BEYOND_CHANCE = 4.0  # standard deviations
-_FEWEST = 32  # third differences
+_FEWEST_DIFFERENCES = 32  # third differences
 _WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
 _SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
 _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
@@ -60,7 +60,9 @@ def at_least_seen(seen: Sequence[SeenLine]) -> list[Stripe]:
     ----------
     seen : sequence of SeenLine, of one picture each
     """
-    enough = [np.count_nonzero(has_value(stripe.status)) >= _FEWEST for stripe, *_ in seen]
+    enough = [
+        np.count_nonzero(has_value(stripe.status)) >= _FEWEST_DIFFERENCES for stripe, *_ in seen
+    ]
     lags = iter(shared_columns(list(compress(seen, enough))))
     each = zip(seen, enough, strict=True)
     return [_enlarged(one[0], next(lags)) if many else one[0] for one, many in each]
@@ -71,7 +73,7 @@ def _enlarged(stripe: Stripe, lag: int) -> Stripe:
     run, sigma_px = pieces(stripe), stripe.sigma_px.copy()
     for status in (Status.OK, Status.SATURATED):
         kept = stripe.status == status
-        if np.count_nonzero(kept) > _FEWEST:
+        if np.count_nonzero(kept) > _FEWEST_DIFFERENCES:
             sigma_px[kept] *= excess(stripe, np.where(kept, run, -1), lag)
     return replace(stripe, sigma_px=sigma_px)
 
@@ -94,7 +96,7 @@ def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     while lag >= 1:
         at = _in_one_piece(run, lag)
         count = np.count_nonzero(at)
-        if count >= max(_FEWEST, _SPANS * lag):
+        if count >= max(_FEWEST_DIFFERENCES, _SPANS * lag):
             first, second, third, last = _apart(stripe.sigma_px**2, lag)
             stated = np.sqrt(first + last + 9 * (second + third))[at]
             seen = _third_differences(stripe.centre_px, lag)[at]
@@ -133,7 +135,7 @@ def _lag(stripe: Stripe, width: Floats, scale: float) -> int:
     by_chance, last = True, np.inf
     for lag in _LAGS:
         values = _third_differences(width, lag)[_in_one_piece(run, lag)]
-        if len(values) < _FEWEST:
+        if len(values) < _FEWEST_DIFFERENCES:
             continue
         scatter = robust_variance(values)
         growths.append(scatter / max(last, np.finfo(float).tiny))
@@ -220,3 +222,155 @@ def _third_differences(values: Floats, lag: int) -> Floats:
     """(Q,) of values (N,), ``lag`` entries apart."""
     first, second, third, last = _apart(values, lag)
     return first - last + 3 * (third - second)
+
+
+# Noise and misfit: how the pixels of neighbouring columns scatter about their lines.
+#
+# No laser line is quite a Gaussian.  What it differs by is much the same in the next column, and
+# noise is not.  So half the squared difference of two neighbours' residuals is the variance of
+# the noise, and their product is the square of the misfit.  Of the misfit only the odd part, of
+# opposite signs on either side of the peak, moves the centre.
+
+
+_FEWEST_PAIRS = 8  # pairs of columns, some hundred pixels
+_SIDEWAYS_PX = 3  # farther apart along the column, two peaks are of two lines
+_FAINT = 0.005  # of the line's height: what Gaussians have beyond 3.3 standard deviations
+# Relative variance of robust_variance, times the values: 1.83 within 3 sigma, divided by
+# (1 - 0.11)^2, for the cut follows what is found.  A column may be in two pairs, whose squares
+# correlate by 1/4; those of second differences do by 4/9 and 1/36.
+_OF_PAIRS, _OF_SECOND_DIFFERENCES = 2.32 * (1 + 2 / 4), 2.32 * (1 + 8 / 9 + 2 / 36)
+_CORE = 5.0  # standard deviations within which pixels are used
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Pixels of lines, P of each kind.
+
+    Attributes
+    ----------
+    light : (P,) array, DN, that the line has there
+    different : (P,) array, DN², on average the variance of the noise
+    common : (P,) array, DN², on average twice the square of the misfit's odd part: of errors
+        independent from pixel to pixel it would take as much to move the centre as far
+    faint : (P,) mask, of the pixels nearly without light
+    """
+
+    light: Floats
+    different: Floats
+    common: Floats
+    faint: Mask
+
+    def noise(self, constant: float, pixels: int) -> Noise:
+        """The noise, where that of the pixels far from the line is known.
+
+        Beside the line it may be more, by more than chance: compressed pictures are noisy only
+        where something is.
+
+        Parameters
+        ----------
+        constant : float, DN², variance of the pixels far from the line
+        pixels : int, second differences that it is known from
+        """
+        faint = np.sqrt(self.different[self.faint])
+        beside = robust_variance(faint)
+        chance = 1 + _BEYOND_CHANCE * chance_of_variances(len(faint), pixels)
+        beside = beside if beside > constant * chance else constant
+        return scatter_noise(self.different, self.light, beside)
+
+    def misfit(self, noise: Noise) -> float:
+        """Deviation of the lines from Gaussians, as a share of their light.
+
+        Least squares of ``common`` on light², weighted by the inverse of its variance.
+
+        Parameters
+        ----------
+        noise : Noise, of the pixels
+        """
+        variance = noise.variance(self.light)
+        core = np.abs(self.common) <= _CORE**2 * variance
+        weight = core * self.light**2 / np.maximum(variance, 1e-3 * self.light**2) ** 2
+        total = float((weight * self.light**2).sum())
+        square = float((weight * self.common).sum()) / total if total > 0 else 0.0
+        return min(max(square, 0.0) ** 0.5, 1.0)
+
+
+def chance_of_variances(pairs: int, pixels: int) -> float:
+    """Relative standard deviation of a variance of pairs of columns over one of pixels afar.
+
+    Parameters
+    ----------
+    pairs : int, pixels of the pairs
+    pixels : int, second differences down columns
+    """
+    return sqrt(_OF_PAIRS / max(pairs, 1) + _OF_SECOND_DIFFERENCES / max(pixels, 1))
+
+
+def scatter_of(fit: LineFit, columns: Ints, rows: Ints) -> Scatter:
+    """The pixels of those fitted lines that have a neighbour, each with its neighbour's.
+
+    With next to no neighbours all scatter counts as noise.
+
+    Parameters
+    ----------
+    fit : LineFit, px and DN, of K columns
+    columns, rows : (K,) array, place of the lines' middle pixels in the picture, columns rising
+    """
+    first = np.flatnonzero((np.diff(columns) == 1) & (np.abs(np.diff(rows)) <= _SIDEWAYS_PX))
+    if len(first) < _FEWEST_PAIRS:
+        first = second = np.arange(len(columns))
+    else:
+        second = first + 1
+    # The windows lie even about the peaks: turned round, a pixel meets its mirror image.
+    seen = fit.seen[first] & fit.seen[second]
+    seen &= seen[:, ::-1]
+    light = ((fit.light[first] + fit.light[second]) / 2)[seen]
+    height = np.broadcast_to(fit.light[first].max(axis=1, keepdims=True), seen.shape)[seen]
+    one, other = fit.residual[first], fit.residual[second]
+    if first is second:
+        return Scatter(light, one[seen] ** 2, np.zeros_like(light), light < _FAINT * height)
+    odd = (one - one[:, ::-1]) * (other - other[:, ::-1]) / 4
+    different = (one - other)[seen] ** 2 / 2
+    return Scatter(light, different, 2 * odd[seen], light < _FAINT * height)
+
+
+# The Cramér-Rao bound: no unbiased extractor scatters less than this.
+
+
+def centre_bound_px(
+    width_px: Floats | float,
+    height_dn: Floats | float,
+    noise: Noise,
+    phase_px: Floats | float = 0.0,
+    reach_px: int | None = None,
+) -> Floats:
+    """Least standard deviation (K,) in px of an unbiased estimate of a line's centre.
+
+    Centre, width, height and an even ground are unknown; the noise is known, independent from
+    pixel to pixel and normal: reading, shot and speckle.  For additive noise and a line much wider
+    than a pixel the bound is (sigma_n / A) sqrt(2 w / sqrt(pi)).
+
+    Parameters
+    ----------
+    width_px : (K,) array or float, px, standard deviation of the Gaussian
+    height_dn : (K,) array or float, DN, its height
+    noise : Noise, of the pixels
+    phase_px : (K,) array or float, px, place of the centre in the middle pixel
+    reach_px : int, optional, px, pixels seen to either side; 8 widths by default
+
+    References
+    ----------
+    The inverse of Fisher's information J^T V^-1 J: Kay, Fundamentals of Statistical Signal
+    Processing I, sec. 3.9, without the little that the variance itself says of the line;
+    docs/explanation/physics.md, section 4.
+    """
+    width, height, phase = np.broadcast_arrays(
+        *(np.atleast_1d(np.asarray(value, float)) for value in (width_px, height_dn, phase_px))
+    )
+    reach = int(np.ceil(8 * width.max())) + 1 if reach_px is None else reach_px
+    steps = np.arange(-reach, reach + 1, dtype=float)
+    level = np.zeros(len(width))
+    seen = lines(parameters_of(phase, width, height, level, level), steps)
+    jacobian = np.delete(seen.jacobian, TILT, axis=1)
+    weight = 1 / noise.variance(seen.light)
+    information = (jacobian * weight[:, None]) @ jacobian.transpose(0, 2, 1)
+    return np.sqrt(np.linalg.inv(information)[:, CENTRE, CENTRE])

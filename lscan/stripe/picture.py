@@ -9,10 +9,162 @@ import numpy as np
 
 from lscan.config.rig import LineChannel
 from lscan.errors import InputError
-from lscan.records import Axis, Bytes, Floats, GreyValues, Mask
-from lscan.stripe.clipping import clipping_level
-from lscan.stripe.frame import frame_px, without_frame
-from lscan.stripe.noise.model import constant_variance
+from lscan.records import Axis, Bytes, Floats, GreyValues, Ints, Mask
+from lscan.stripe.noise import constant_variance
+
+# A frame that a camera or a program drew along the edge of its pictures.
+
+
+_WIDEST_FRAME_PX = 8  # a block of JPEG: as far as cameras fill up a width that is no multiple of it
+_EVEN_DN, _EVEN_SHARE = 8, 0.9  # grey values of a drawn frame differ by what lossy coding does
+_STEP_DN = 16  # a frame as dark as the picture is beside it does no harm
+
+
+def frame_px(lines: Bytes) -> tuple[int, int]:
+    """Pixels that a bright frame covers at the beginning and at the end of a picture's lines.
+
+    A frame is even along the whole edge of the picture and brighter than the pixels beside
+    it, at most 8 px wide.  It would be the highest value of every line that holds no brighter one,
+    at the picture's border.  A laser's line that runs along the edge is uneven.
+
+    Parameters
+    ----------
+    lines : (N, L) array, uint8, DN, pixels from one edge of the picture to the other
+    """
+    if lines.shape[1] <= 2 * _WIDEST_FRAME_PX + 1:
+        return 0, 0
+    return _depth(lines[:, : _WIDEST_FRAME_PX + 1]), _depth(lines[:, : -_WIDEST_FRAME_PX - 2 : -1])
+
+
+def without_frame(lines: Bytes, frame: tuple[int, int]) -> Bytes:
+    """The lines with the pixel beside the frame in place of the frame's.
+
+    Parameters
+    ----------
+    lines : (N, L) array, DN
+    frame : tuple of int, px, as :func:`frame_px` gives it
+    """
+    first, last = frame
+    if first == last == 0:
+        return lines
+    inside: Bytes = lines[:, first : lines.shape[1] - last]
+    return np.pad(inside, ((0, 0), frame), mode="edge")
+
+
+def _depth(edge: Bytes) -> int:
+    """Pixels of the frame in (N, n) pixels from the edge inwards."""
+    if int(edge.max()) <= _STEP_DN:  # darker than any frame
+        return 0
+    level = np.median(edge, axis=0)
+    even = (np.abs(edge - level) <= _EVEN_DN).mean(axis=0) >= _EVEN_SHARE
+    ends = even[:-1].cumprod().astype(bool) & (level[:-1] - level[1:] > _STEP_DN)
+    return int(np.flatnonzero(ends)[-1]) + 1 if ends.any() else 0
+
+
+# Where a camera's range ends: at 255 DN, or at the plateau that a picture shows below it.
+
+
+CLIPPED_DN = 255
+"""Highest value an 8-bit picture can hold: such a pixel may have seen any amount of light."""
+
+_NEAR_END_DN = 250  # pictures that reach so far are clipped at 255 or not at all
+_LEAST_PLATEAU_DN = 32  # below it a plateau is darkness
+_STRAY = 1e-4  # share of the pixels that lossy coding or a hot pixel may put above the plateau
+_SPREAD_DN = 6  # by which lossy coding spreads a plateau
+_PILED = 3.0
+"""Times that a plateau's three values hold more pixels than four values farther down.  At the
+smooth crest of a line that is not clipped they hold 1.3 times as many: the width of a parabola
+at the depth d below its top goes with the root of d."""
+
+_FLAT_PX, _WIDEST_PLATEAU_PX = (
+    3,
+    41,
+)  # pixels across a clipped crest: fewer may be chance, more no line
+_OVERSHOOT = 1.1  # of the plateau: where the flanks of a crest clipped on fewer pixels meet
+_FAINT_DN = 4.0  # reading noise and rounding: a fainter flank says no more than that it is dark
+_FEWEST = 8  # crests
+
+
+def clipping_level(lines: Bytes) -> int:
+    """The grey value from which pixels are clipped: CLIPPED_DN unless the picture shows another.
+
+    A camera whose range ends below 255 DN, as gain and coding can make it, shows a plateau: many
+    pixels have nearly the same highest value, few have values a little less, and the crest of
+    a line is flat over several pixels, or its flanks rise as if to a higher crest.
+
+    Parameters
+    ----------
+    lines : (N, L) array, uint8, DN, the pixels across the line, one row for each entry of the
+        stripe
+    """
+    highest = lines.max(axis=1)
+    least = _within_highest(highest, lines.size)
+    if least >= _NEAR_END_DN:
+        return CLIPPED_DN
+    # Values farther down than the plateau and its surroundings do not count.
+    limit = max(least - 2 * _SPREAD_DN, 0)
+    high = lines[highest >= limit]
+    count = np.bincount(high[high >= limit], minlength=CLIPPED_DN + 1)
+    above = np.cumsum(count[::-1])[::-1]  # pixels of each value or more
+    top = int(np.flatnonzero(above > _STRAY * lines.size)[-1])
+    if top >= _NEAR_END_DN or top < _LEAST_PLATEAU_DN:
+        return CLIPPED_DN
+    mode = top - _SPREAD_DN + int(count[top - _SPREAD_DN : top + 1].argmax())
+    piled = count[mode - 1 : mode + 2].sum() > _PILED * count[mode - 6 : mode - 2].sum()
+    if piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode)):
+        return _foot(count, mode)
+    return CLIPPED_DN
+
+
+def _within_highest(highest: Bytes, pixels: int) -> int:
+    """A grey value that more than _STRAY of the pixels reach, by the highest of each line."""
+    stray = int(_STRAY * pixels)
+    return 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
+
+
+def _foot(count: Ints, mode: int) -> int:
+    """The lowest value of the plateau: down to where a tenth of its pixels are left."""
+    level = mode
+    while level > mode - _SPREAD_DN // 2 and 10 * count[level - 1] >= count[mode]:
+        level -= 1
+    return level
+
+
+def _has_flat_crests(lines: Bytes, level: int) -> bool:
+    """Whether most crests that reach the level stay there for some pixels, but not for many."""
+    high = (lines >= level - 2).astype(np.uint8)
+    wide = cv2.morphologyEx(high, cv2.MORPH_OPEN, np.ones((1, _WIDEST_PLATEAU_PX), np.uint8))
+    crest = np.asarray(cv2.subtract(high, wide), np.uint8)
+    flat = cv2.erode(crest, np.ones((1, _FLAT_PX), np.uint8)).any(axis=1).sum()
+    return bool(flat >= _FEWEST and 2 * flat >= crest.any(axis=1).sum())
+
+
+def _has_cut_crests(lines: Bytes, level: int) -> bool:
+    """Whether the flanks of most crests that reach the level rise as if to a far higher crest.
+
+    A line narrower than _FLAT_PX is clipped on one or two pixels.  The two pixels on either side
+    of them are taken to lie on a Gaussian, whose logarithm is a parabola.
+    """
+    high = lines >= level - 2
+    reach = np.flatnonzero(high.any(axis=1))
+    first = high[reach].argmax(axis=1)
+    last = high.shape[1] - 1 - high[reach, ::-1].argmax(axis=1)
+    narrow = (last - first < _FLAT_PX) & (first >= 2) & (last < high.shape[1] - 2)
+    reach, first, last = reach[narrow], first[narrow], last[narrow]
+    if len(reach) < _FEWEST:
+        return False
+    places = np.stack([first - 2, first - 1, last + 1, last + 2], axis=1)
+    flanks = np.log(np.maximum(lines[reach[:, None], places], _FAINT_DN))
+    inner = (last - first) / 2 + 1  # from the crest's middle; the outer pixels are one farther
+    outside, inside = flanks[:, [0, 3]].mean(axis=1), flanks[:, [1, 2]].mean(axis=1)
+    bend = (inside - outside) / (2 * inner + 1)
+    tilt = (flanks[:, 2] - flanks[:, 1]) / (2 * inner)
+    crest = inside + bend * inner**2 + tilt**2 / (4 * np.maximum(bend, 1e-6))
+    return bool(np.median(crest) > np.log(_OVERSHOOT * level))
+
+
+# A picture laid out for stripe extraction: one row in memory for each entry of the stripe.
+
 
 _PLANES: dict[LineChannel, tuple[int, ...]] = {
     "red": (0,), "green": (1,), "blue": (2,),
@@ -30,7 +182,7 @@ _COLOURED_DN = 16  # excess beside a crest: less is what lossy coding makes of w
 _RIM_PX = 3
 _BROAD_PX = 61  # what is wider is no line (spots.py)
 
-_UPPER, _LEAST_DN, _SIGMAS = 0.75, 12.0, 6.0  # of faint_threshold
+_UPPER, _LEAST_LINE_DN, _SIGMAS = 0.75, 12.0, 6.0  # of faint_threshold
 
 
 @dataclass(frozen=True)
@@ -148,7 +300,7 @@ def faint_threshold(excess: GreyValues) -> float:
     """
     noise_dn = np.sqrt(constant_variance(excess))
     half = np.quantile(_heights(excess), _UPPER) / 2
-    return float(max(half, _LEAST_DN, _SIGMAS * noise_dn))
+    return float(max(half, _LEAST_LINE_DN, _SIGMAS * noise_dn))
 
 
 def _heights(excess: GreyValues) -> Floats:

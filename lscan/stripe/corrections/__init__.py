@@ -1,1 +1,0 @@
-"""Corrections of an extracted stripe: blur and smoothing."""
