@@ -6,13 +6,13 @@ from lscan.acquisition.run import (
 )
 from lscan.acquisition.scan import scan as scan
 from lscan.board import read_board as read_board
-from lscan.calibration.api import PlaneMap as PlaneMap
-from lscan.calibration.file import (
+from lscan.calibration.calibrate import Calibration as Calibration, calibrate as calibrate
+from lscan.calibration.calibrationfile import (
     load_calibration as load_calibration,
+    load_plane_map as load_plane_map,
     save_calibration as save_calibration,
 )
-from lscan.calibration.loading import load_plane_map as load_plane_map
-from lscan.calibration.solve import Calibration as Calibration, calibrate as calibrate
+from lscan.calibration.planemap import PlaneMap as PlaneMap
 from lscan.config.rig import (
     RigFile as RigFile,
     StripeSection as StripeSection,

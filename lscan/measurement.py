@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 from lscan.acquisition.run import Run
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap
-from lscan.calibration.carry import carried
+from lscan.calibration.check import carried
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import BoardNotFound, InputError, MeasurementError

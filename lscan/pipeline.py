@@ -11,9 +11,9 @@ import numpy as np
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import cores, in_order
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap
-from lscan.calibration.carry import carried
-from lscan.calibration.solve import Calibration, calibrate
+from lscan.calibration.calibrate import Calibration, calibrate
+from lscan.calibration.check import carried
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board
 from lscan.config.rig import CameraSection, Rig, RigFile
 from lscan.config.targets import Sandwave

@@ -6,7 +6,7 @@ from dataclasses import replace
 from modelkeys import Section, sections
 
 from lscan.acquisition.replay import ReplayOptions
-from lscan.calibration.multiview.viewsfile import ViewsDocument
+from lscan.calibration.metric.views import ViewsDocument
 from lscan.config.board import Board
 from lscan.config.rig import Rig
 from lscan.config.targets import ShapesDocument

@@ -12,8 +12,7 @@ import numpy as np
 
 from lscan.benchmark.judging import SURE, CaseSums, JudgedExtractor, normal_score, reference_seconds
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap, find_solver
-from lscan.calibration.readings import joined_marks
+from lscan.calibration.planemap import PlaneMap, find_solver, joined_marks
 from lscan.config.board import Board
 from lscan.config.plugins import find_plugin_or_function, names_code, raised
 from lscan.config.rig import OpticsSection

@@ -14,9 +14,9 @@ import numpy as np
 from lscan.benchmark.boardjudging import coordinate_sums, map_sums
 from lscan.benchmark.judging import CaseSums, JudgedExtractor, beside_line, reference_seconds
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap
-from lscan.calibration.carry import carried
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.check import carried
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.documents import Document, check, merge, read_document
 from lscan.config.rig import Rig
 from lscan.config.scenes import included_file

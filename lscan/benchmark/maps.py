@@ -9,7 +9,7 @@ import numpy as np
 from lscan.benchmark.boards import BOARDS, OPTICS, image_px, reading_of
 from lscan.benchmark.extractors import share_within
 from lscan.benchmark.timing import timed
-from lscan.calibration.api import PlaneMap, find_solver
+from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError

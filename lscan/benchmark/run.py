@@ -8,7 +8,7 @@ from typing import Any
 from lscan.benchmark.extractors import ExtractorRow, bench_extractors, cases
 from lscan.benchmark.maps import MapRow, bench_maps, board_cases
 from lscan.benchmark.page import write_bench
-from lscan.calibration.api import find_solver
+from lscan.calibration.planemap import find_solver
 from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.files.disk import make_folder

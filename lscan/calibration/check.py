@@ -10,24 +10,178 @@ Residuals count by their covariance: each mark's own uncertainty, and the errors
 calibration gives to all marks in common.
 """
 
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from scipy.special import chdtrc, ndtr
 
-from lscan.calibration.api import NOTHING_KNOWN, PlaneMap
-from lscan.calibration.carry import in_water_of
-from lscan.calibration.loading import AnyCalibration
+from lscan.calibration.calibrate import Calibration, ScreenedReading, calibration_by
+from lscan.calibration.calibrationfile import AnyCalibration
 from lscan.calibration.maps.auto import Auto
-from lscan.calibration.motion import Similarity, fit_similarity
+from lscan.calibration.metric.planemap import Metric
+from lscan.calibration.offsheet import Similarity, fit_similarity
 from lscan.calibration.physical import PhysicalMap
-from lscan.calibration.readings import all_marks, found_marks
-from lscan.calibration.solve import Calibration
-from lscan.calibration.waterfit import FoundIndex, find_index
-from lscan.config.rig import OpticsSection
+from lscan.calibration.planemap import (
+    MOST_SCALE,
+    NOTHING_KNOWN,
+    PlaneMap,
+    SheetCorrection,
+    SolvedMap,
+    all_marks,
+    found_marks,
+)
+from lscan.camera.optics import stated_water
+from lscan.camera.posedboards import LIMITS, WATER
+from lscan.config.rig import OpticsSection, Rig, SinceSection
 from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats, PlanePoints, Status
+
+# The index of the water with which a physical map fits a new picture of the board best.
+
+
+INDEX_STEP = 1e-4  # for differences by the index: 0.1 px, of which the second order is 1e-5 px
+ROUNDS = 3  # the map is nearly linear in the index: 0.01 of it is off by 1 % after the first
+
+
+@dataclass(frozen=True)
+class FoundIndex:
+    """The index of the water, everything else being where the calibration has it.
+
+    Attributes
+    ----------
+    index, sigma : float, relative to air, and its standard uncertainty
+    chi_square : float, of the residuals that it leaves
+    """
+
+    index: float
+    sigma: float
+    chi_square: float
+
+
+def find_index(
+    plane_map: PhysicalMap, nominal_mm: Floats, image_px: Floats, sigma_px: Floats
+) -> FoundIndex:
+    """The index by generalised least squares, with a shift and a turn of the board beside it.
+
+    It is sought within the camera's LIMITS.
+
+    Parameters
+    ----------
+    plane_map : PhysicalMap, behind a flat port
+    nominal_mm : (N, 2) array, mm, of the marks on the board
+    image_px : (N, 2) array, px, of (u, v), where the new picture has them
+    sigma_px : (N,) array, px, standard uncertainties of those
+    """
+    index, sigma, chi_square = float(plane_map.geometry.theta[WATER]), np.inf, np.inf
+    least, most = LIMITS["water_index"]
+    for _ in range(ROUNDS):
+        index = float(np.clip(index, least + INDEX_STEP, most - INDEX_STEP))
+        points = plane_map.in_water((index, 0.0)).to_plane(image_px, sigma_px)
+        above, below = (
+            plane_map.in_water((index + step, 0.0)).locate(image_px)
+            for step in (INDEX_STEP, -INDEX_STEP)
+        )
+        missed = (below - above) / (2 * INDEX_STEP)  # where the index is a unit more than taken
+        fit = fit_similarity(nominal_mm, points.xz_mm, points.sigma_mm, points.modes_mm, missed)
+        index, sigma = index + fit.scale, float(np.sqrt(fit.covariance[3, 3]))
+        chi_square = fit.chi_square
+    return FoundIndex(float(np.clip(index, least, most)), sigma, chi_square)
+
+
+# A plane map carried from the rig it was calibrated on to the rig of a scan.
+#
+# What the scan's rig says of its water, and of what may have changed since the calibration.
+
+
+ALLOWED = "a refractive or metric map, or a calibration of the same water and rig"
+SAME_INDEX = 1e-4  # a difference of a degree; it changes 300 mm by 0.02 mm
+
+
+def carried(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
+    """The map for the pictures of a rig: in its water, with what may have changed since.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, as calibrated
+    rig : Rig, of the scan: its ``[optics]`` and ``[since_calibration]`` count
+
+    Raises
+    ------
+    InputError
+        For a map that does not know the physics.
+    """
+    plane_map, since = in_water_of(plane_map, rig.optics), rig.since_calibration
+    if since is None or not any(dict(since).values()):
+        return plane_map
+    return with_chosen(plane_map, lambda solved: _changed(solved, since))
+
+
+def in_water_of(plane_map: PlaneMap, optics: OpticsSection) -> PlaneMap:
+    """The map for pictures taken in the water that an [optics] states, and its uncertainty.
+
+    The same map where the calibration's own rig stated that water, and where none is stated.  A map
+    that does not know the physics also stays where the two indices agree within SAME_INDEX.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, as calibrated
+    optics : OpticsSection, of the scan's rig
+
+    Raises
+    ------
+    InputError
+        For a map that does not know the physics.
+    """
+    return with_chosen(plane_map, lambda solved: _moved(solved, optics))
+
+
+def with_chosen(plane_map: PlaneMap, change: Callable[[SolvedMap], SolvedMap]) -> PlaneMap:
+    """A plane map changed; of ``auto`` the map that was chosen.
+
+    A map of another package stays as it is: it answers for itself.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, of any family
+    change : callable, of a solved map
+    """
+    if isinstance(plane_map, Auto):
+        return replace(plane_map, chosen=with_chosen(plane_map.chosen, change))
+    return change(plane_map) if isinstance(plane_map, SolvedMap) else plane_map
+
+
+def _moved(solved: SolvedMap, optics: OpticsSection) -> SolvedMap:
+    water, own = stated_water(optics), solved.stated_water
+    if water is None or water == own or optics.port == "none":
+        return solved
+    if isinstance(solved, PhysicalMap):
+        return solved if solved.geometry.port == "none" else solved.in_water(water)
+    # Where the calibration stated none, nobody knows whether it is another water.
+    if own is None or abs(water[0] - own[0]) <= SAME_INDEX:
+        return solved
+    raise InputError(
+        f"plane map {solved.name!r} cannot be carried to other water",
+        where="optics",
+        value=f"index {water[0]:.5f}, calibrated at {own[0]:.5f}",
+        allowed=ALLOWED,
+    )
+
+
+def _changed(solved: SolvedMap, since: SinceSection) -> SolvedMap:
+    if isinstance(solved, PhysicalMap):
+        return solved.changed_since(since)
+    raise InputError(
+        "says of the rig what this plane map knows nothing of",
+        where="since_calibration",
+        value=solved.name,
+        allowed=ALLOWED,
+    )
+
+
+# An old calibration against a new picture of the board: does it still hold, and what corrects it?
+
 
 LEVEL = 0.01
 LEAST_MARKS = 6
@@ -336,3 +490,151 @@ def _worst(names: np.ndarray, residual_mm: Floats, sigma_mm: Floats) -> tuple[Ch
     ratio = np.hypot(*residual_mm.T) / sigma
     order = np.argsort(ratio)[::-1][:WORST]
     return tuple(CheckedMark(names[k], _pair(residual_mm[k]), float(ratio[k])) for k in order)
+
+
+# A calibration corrected by what a new picture of the board shows: scale, shift, or index.
+
+
+CorrectionKind = Literal["scale", "index", "shift"]
+
+WATER_INDEX = (1.32, 1.36)
+"""Water's index is from 1.3296 (30 C, fresh, 700 nm) to 1.3505 (0 C, 35 psu, 400 nm) by Quan & Fry
+1995, and 0.0015 more 100 m down; the rest is for what a calibration's port may be off."""
+
+
+def proposed(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
+    """What corrects what a check found; nothing where the calibration holds.
+
+    A wrong scale is put down to the index of the water where that leaves less of the residuals than
+    a change of scale, and is one of water.  Nothing here corrects a wrong shape.
+
+    Parameters
+    ----------
+    found : CalibrationCheck, of the picture that is to correct
+    """
+    kinds: list[CorrectionKind] = []
+    if "scale" in found.reasons:
+        kinds.append("index" if _by_water(found) else "scale")
+    if "shift" in found.reasons:
+        kinds.append("shift")
+    return tuple(kinds)
+
+
+def _by_water(found: CalibrationCheck) -> bool:
+    """Whether another index of the water explains the scale, and better than a scale does."""
+    index = found.index
+    if index is None or not WATER_INDEX[0] <= index.index <= WATER_INDEX[1]:
+        return False
+    return index.chi_square < found.chi_square
+
+
+def corrected(
+    calibration: AnyCalibration,
+    reading: BoardReading,
+    kinds: Sequence[CorrectionKind],
+    placed_mm: float | None = None,
+    optics: OpticsSection | None = None,
+) -> AnyCalibration:
+    """The calibration with its map corrected, and the uncertainty of that in the map's.
+
+    What the corrections leave of the new marks' residuals, beyond what the map states, is added to
+    its lack of fit.  It keeps the pictures it was solved from: solving it again gives the old map.
+
+    Parameters
+    ----------
+    calibration : Calibration or MetricCalibration, the old one
+    reading : BoardReading, px and mm, of the new picture
+    kinds : sequence of str, what to correct, one after the other
+    placed_mm : float, optional, mm, standard uncertainty, in x and in z, with which the board was
+        put back; a shift needs it
+    optics : OpticsSection, optional, of the rig that took the picture, as of ``check_calibration``
+
+    Raises
+    ------
+    InputError
+        For a picture of another size, an index where the map knows of no water, a shift without
+        placed_mm or of a metric calibration, or a map of another package.
+    MeasurementError
+        Where fewer than six marks get a value, or lengths are off by more than MOST_SCALE.
+    """
+    require_comparable(calibration, reading, placed_mm)
+    if "shift" in kinds and placed_mm is None:
+        raise InputError(
+            "a shift cannot be told from how the board was put back",
+            where="placed_mm",
+            allowed="its standard uncertainty, of a calibration from one picture of the board",
+        )
+    plane_map = in_water_of(calibration.plane_map, optics or NOTHING_KNOWN)
+    for kind in kinds:
+        plane_map = _with(plane_map, kind, compare(plane_map, reading), placed_mm or 0.0)
+    left_mm = _left_mm(compare(plane_map, reading))
+    plane_map = with_chosen(
+        plane_map,
+        lambda solved: solved.model_copy(
+            update={"lack_of_fit_mm": np.hypot(solved.lack_of_fit_mm, left_mm)}
+        ),
+    )
+    if isinstance(calibration, Calibration):
+        sound = ScreenedReading(calibration.reading, calibration.outliers_mm)
+        return calibration_by(calibration.name, plane_map, sound, calibration.optics)
+    assert isinstance(plane_map, Metric)  # corrections keep the family
+    return replace(calibration, plane_map=plane_map)
+
+
+def _with(
+    plane_map: PlaneMap, kind: CorrectionKind, marks: ComparedMarks, placed_mm: float
+) -> PlaneMap:
+    """The map with one correction."""
+    middle, fit = marks.points.xz_mm.mean(axis=0), marks.fit
+
+    def correct(solved: SolvedMap) -> SolvedMap:
+        if kind == "index":
+            return _with_index(solved, marks)
+        if kind == "scale":
+            if abs(fit.scale) > MOST_SCALE:
+                raise MeasurementError(
+                    f"lengths are off by {100 * fit.scale:+.0f} %: it is another board, or file"
+                )
+            correction = SheetCorrection(
+                middle_mm=middle, scale=fit.scale, scale_sigma=marks.scale_sigma
+            )
+        else:
+            sigma = np.hypot(np.sqrt(np.diag(fit.covariance)[:2]), placed_mm)
+            correction = SheetCorrection(
+                middle_mm=middle, shift_mm=fit.motion.shift_mm, shift_sigma_mm=sigma
+            )
+        return solved.model_copy(update={"corrections": (*solved.corrections, correction)})
+
+    changed = with_chosen(plane_map, correct)
+    if changed is plane_map:
+        raise InputError(
+            "plane map of another package: it cannot be corrected here",
+            where="plane map",
+            value=plane_map.name,
+        )
+    return changed
+
+
+def _left_mm(marks: ComparedMarks) -> Floats:
+    """(2,) rms in x and z of what the map misses of the marks, less what it states."""
+    missed = marks.points.xz_mm - marks.fit.motion.apply(marks.nominal_mm)
+    excess = np.mean(missed**2, axis=0) - np.mean(marks.points.sigma_mm**2, axis=0)
+    return np.sqrt(np.maximum(excess, 0.0))
+
+
+def _with_index(solved: SolvedMap, marks: ComparedMarks) -> SolvedMap:
+    """The map with the index that fits.
+
+    The water it states stays that of the calibration, so that a scan whose rig states the same is
+    not carried back.
+    """
+    if not isinstance(solved, PhysicalMap) or solved.geometry.port == "none":
+        raise InputError(
+            "this plane map has no index of the water to correct",
+            where="plane map",
+            value=solved.name,
+            allowed='"scale" or "shift", or a refractive or metric map behind a port',
+        )
+    found = find_index(solved, marks.nominal_mm, marks.image_px, marks.sigma_px)
+    moved = solved.in_water((found.index, found.sigma))
+    return moved.model_copy(update={"stated_water": solved.stated_water})

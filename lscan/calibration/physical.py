@@ -5,23 +5,104 @@ calibration does to its points.
 """
 
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
+from numpy.polynomial.chebyshev import chebpts1, chebvander, chebvander2d
 from pydantic import PrivateAttr
 
-from lscan.calibration.evaluate import Estimate, propagated
-from lscan.calibration.pixeltable import PixelTable, tabulated
-from lscan.calibration.solved import SolvedMap
+from lscan.calibration.planemap import Estimate, Region, SolvedMap, propagated
 from lscan.camera import rays
 from lscan.camera.optics import meet_plane
 from lscan.camera.posedboards import CAMERA, PortKind, camera_of, rotation
 from lscan.camera.resection import MODE_STEP, pixel_derivatives
 from lscan.config.documents import check
 from lscan.config.rig import Known, SinceSection
-from lscan.records import Floats
+from lscan.records import BoardReading, Floats, Marks
+
+# A smooth function of the pixel, computed once at few pixels and looked up at many.
+
+
+SHARE = 1e-7
+"""Of the function's largest value: farthest that a table may be from it, well below what the
+finite differences leave that it is made from."""
+ORDERS = 4, 8, 10, 12, 14, 17, 20, 24
+"""Coefficients along u and along v that are tried, each judged at the nodes of the next."""
+BLOCK = 512  # pixels: their products of polynomials stay in the processor's cache
+
+
+@dataclass(frozen=True)
+class PixelTable:
+    """Chebyshev series in u and v over a rectangle of the picture.
+
+    Attributes
+    ----------
+    middle_px, half_px : (2,) array, px, of (u, v), the rectangle's middle and half its size
+    coefficients : (n, n, K) array, of the products of polynomials in u and in v, for K values
+    """
+
+    middle_px: Floats
+    half_px: Floats
+    coefficients: Floats
+
+    def look_up(self, image_px: Floats) -> Floats:
+        """(N, K) values.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v) in the rectangle
+        """
+        order, _, count = self.coefficients.shape
+        matrix = self.coefficients.reshape(order**2, count)
+        # In blocks of one size, for the same bytes however many pixels are asked for at once.
+        blocks = -(-len(image_px) // BLOCK)
+        places = np.zeros((blocks * BLOCK, 2))
+        places[: len(image_px)] = (image_px - self.middle_px) / self.half_px
+        values = np.empty((blocks * BLOCK, count))
+        for first in range(0, len(places), BLOCK):
+            block = slice(first, first + BLOCK)
+            u, v = places[block].T
+            values[block] = chebvander2d(u, v, [order - 1, order - 1]) @ matrix
+        return values[: len(image_px)]
+
+
+def tabulated(function: Callable[[Floats], Floats], region: Region) -> PixelTable | None:
+    """The table of a function over a region of the picture; None where it is not so smooth.
+
+    Parameters
+    ----------
+    function : callable, from (N, 2) px, of (u, v), to (N, K) values, all of one unit
+    region : Region, px; the function is computed in all of the rectangle about it
+
+    References
+    ----------
+    Trefethen, Approximation Theory and Approximation Practice (2013), ch. 3 and 8: interpolation
+    in Chebyshev's nodes, whose error falls exponentially for an analytic function.
+    """
+    low, high = region.bounds_px
+    middle, half, table = (low + high) / 2, (high - low) / 2, None
+    for order in ORDERS:
+        nodes = chebpts1(order)
+        grid = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+        pixels = middle + half * grid
+        values = function(pixels)
+        if not np.isfinite(values).all():
+            return None
+        if table is not None:
+            error = np.abs(table.look_up(pixels) - values).max(initial=0.0)
+            if error <= SHARE * np.abs(values).max(initial=0.0):
+                return table
+        # The polynomials are orthogonal over their own nodes.
+        inverse = chebvander(nodes, order - 1).T * np.where(np.arange(order) > 0, 2, 1)[:, None]
+        inverse /= order
+        values = values.reshape(order, order, values.shape[1])
+        table = PixelTable(middle, half, np.einsum("iu,jv,uvk->ijk", inverse, inverse, values))
+    return None
+
+
+# What the plane maps share that are a camera, its port and a plane: they know the physics.
 
 
 @dataclass(frozen=True)
@@ -234,3 +315,42 @@ def _changed(geometry: SheetGeometry, since: SinceSection, share: float) -> Iter
     for name, sigma in changes.items():
         if sigma:
             yield geometry.with_camera(**{name: share * sigma})
+
+
+# The lack of fit of a map whose marks' noise is known only roughly.
+#
+# Noise differs from mark to mark; what the form of a map cannot follow varies slowly over the
+# board, so that neighbouring marks share it.  The mean product of neighbours' residuals is
+# therefore the mean square of the lack of fit, whatever the noise.
+
+
+SURE = 2.0  # standard errors by which a mean product must exceed 0: noise does in 1 of 40
+
+
+def unexplained_mm(solved: SolvedMap, reading: BoardReading) -> Floats:
+    """(2,) rms in mm of what the residuals of x and of z share with their neighbours'.
+
+    Neighbours are control points one pitch apart and adjacent marks of a ruler, all of which
+    the map was fitted to.  A share that noise alone could well make is 0.
+
+    Parameters
+    ----------
+    solved : SolvedMap, the map
+    reading : BoardReading, px and mm, the map was solved from
+    """
+    grid = _residuals(solved, reading.grid).reshape(*reading.shape, 2)
+    several = [grid[1:] * grid[:-1], grid[:, 1:] * grid[:, :-1]]
+    for ruler in reading.rulers:
+        along = _residuals(solved, ruler.marks)
+        several.append(along[1:] * along[:-1])
+    products = np.vstack([some.reshape(-1, 2) for some in several])
+    products = products[np.isfinite(products).all(axis=1)]
+    if len(products) < 2:
+        return np.zeros(2)
+    mean, error = products.mean(axis=0), products.std(axis=0, ddof=1) / np.sqrt(len(products))
+    return np.sqrt(np.where(mean > SURE * error, mean, 0.0))
+
+
+def _residuals(solved: SolvedMap, marks: Marks) -> Floats:
+    """(N, 2) mm of marks; NaN of those that were not found."""
+    return solved.points(marks.image_px) - marks.board_mm

@@ -21,10 +21,8 @@ from lscan.cli.arguments import (
 from lscan.cli.console import print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from lscan.calibration.check import CalibrationCheck
-    from lscan.calibration.crossvalidation import Score
-    from lscan.calibration.solve import Calibration
-    from lscan.calibration.update import CorrectionKind
+    from lscan.calibration.calibrate import Calibration, Score
+    from lscan.calibration.check import CalibrationCheck, CorrectionKind
 
 BoardFile = Annotated[
     Path | None, typer.Option("--board", help="Board file; a run folder has its own.")
@@ -57,9 +55,9 @@ def calibrate(
 ) -> None:
     """Find the board's control points in a picture and solve a plane map from them."""
     from lscan.board import draw_overlay
-    from lscan.calibration.file import save_calibration
+    from lscan.calibration.calibrate import calibrate as solve
+    from lscan.calibration.calibrationfile import save_calibration
     from lscan.calibration.maps.auto import calibrate_best
-    from lscan.calibration.solve import calibrate as solve
     from lscan.cli.inputs import board_picture, parse_seeds
     from lscan.files.pictures import write_picture
 
@@ -104,9 +102,8 @@ def check(
     json: Json = False,
 ) -> None:
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
-    from lscan.calibration.check import check_calibration
-    from lscan.calibration.loading import load_any, save_any
-    from lscan.calibration.update import corrected, proposed
+    from lscan.calibration.calibrationfile import load_any, save_any
+    from lscan.calibration.check import check_calibration, corrected, proposed
     from lscan.cli.inputs import board_picture, parse_corrections, parse_seeds
 
     require_folders(update)

@@ -15,10 +15,9 @@ import numpy as np
 from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
 from lscan.board.marks import FEWEST
-from lscan.calibration.api import PlaneMap
-from lscan.calibration.carry import carried
-from lscan.calibration.loading import load_plane_map
-from lscan.calibration.update import CorrectionKind
+from lscan.calibration.calibrationfile import load_plane_map
+from lscan.calibration.check import CorrectionKind, carried
+from lscan.calibration.planemap import PlaneMap
 from lscan.cli.console import note
 from lscan.config.board import Board, load_board
 from lscan.config.documents import check, read_document

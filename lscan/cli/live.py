@@ -24,7 +24,7 @@ def live(
     ] = None,
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""
-    from lscan.calibration.loading import load_plane_map
+    from lscan.calibration.calibrationfile import load_plane_map
     from lscan.config.rig import load_rig
     from lscan.devices.signals import no_suspending, on_stop_signals
     from lscan.errors import DeviceError

@@ -23,7 +23,7 @@ from lscan.errors import InputError
 
 if TYPE_CHECKING:
     from lscan.acquisition.run import Run
-    from lscan.calibration.api import PlaneMap
+    from lscan.calibration.planemap import PlaneMap
     from lscan.config.rig import Rig
     from lscan.measure.shapemeasures import ShapeMeasure
     from lscan.measurement import Measures, SandwaveMeasures

@@ -1,4 +1,4 @@
-"""The command ``lscan calibrate-metric``: a thin face over lscan.calibration.multiview."""
+"""The command ``lscan calibrate-metric``: a thin face over lscan.calibration.metric."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from lscan.cli.arguments import Json, require_folders
 from lscan.cli.console import note, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
-    from lscan.calibration.multiview.solve import CameraCalibration, MetricCalibration
-    from lscan.calibration.multiview.views import FittedView
+    from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
+    from lscan.calibration.metric.views import FittedView
 
 
 def calibrate_metric(
@@ -36,20 +36,19 @@ def calibrate_metric(
     Where they give no calibration, the table of the views is printed all the same, and the
     pictures are written beside the output.
     """
-    from lscan.calibration.multiview.file import (
+    from lscan.calibration.calibrationfile import (
         load_camera,
         require_same_camera,
         save_camera,
         save_metric,
     )
-    from lscan.calibration.multiview.overlays import write_overlays
-    from lscan.calibration.multiview.solve import (
+    from lscan.calibration.metric.solve import (
         CameraCalibration,
+        UnsolvedViews,
         calibrate_camera,
         calibrate_metric as solve,
     )
-    from lscan.calibration.multiview.usedviews import UnsolvedViews
-    from lscan.calibration.multiview.viewsfile import load_views, read_views
+    from lscan.calibration.metric.views import load_views, read_views, write_overlays
 
     require_folders(output, overlays)
     file = load_views(views)
@@ -101,7 +100,7 @@ def _print_views(views: Sequence[FittedView]) -> None:
 
 
 def _in_words(calibration: MetricCalibration | CameraCalibration) -> str:
-    from lscan.calibration.multiview.solve import CameraCalibration
+    from lscan.calibration.metric.solve import CameraCalibration
 
     views = calibration.views
     used = f"{sum(view.used for view in views)} of {len(views)} views, {calibration.rms_px:.3f} px"
@@ -115,7 +114,7 @@ def _in_words(calibration: MetricCalibration | CameraCalibration) -> str:
 
 def summary(calibration: MetricCalibration | CameraCalibration) -> dict[str, Any]:
     """What a metric calibration, or a camera's, found, as ``print_json`` takes it."""
-    from lscan.calibration.multiview.solve import MetricCalibration
+    from lscan.calibration.metric.solve import MetricCalibration
     from lscan.camera.posedboards import CAMERA
 
     metric = calibration if isinstance(calibration, MetricCalibration) else None

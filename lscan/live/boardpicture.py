@@ -9,10 +9,10 @@ from pathlib import Path
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import RunWriter, create_run
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap
-from lscan.calibration.carry import carried
-from lscan.calibration.file import save_calibration
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.calibrationfile import save_calibration
+from lscan.calibration.check import carried
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import Plan, RigFile, parse_rig
 from lscan.devices.api import Limited, Track
 from lscan.errors import DeviceError

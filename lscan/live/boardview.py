@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap
-from lscan.calibration.multiview.planemap import Metric
+from lscan.calibration.calibrate import calibrate, in_picture, residuals
+from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.offsheet import LinesOfSight, OffSheet, off_sheet, seen_from
-from lscan.calibration.solve import calibrate, in_picture, residuals
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board
 from lscan.config.rig import Rig, SheetSection
 from lscan.errors import BoardNotFound, LscanError, MeasurementError

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.records import Floats, Stripe
 
 NODE_PX = 4

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board, Ring
 from lscan.errors import MeasurementError
 from lscan.measure.circle import fit_circle

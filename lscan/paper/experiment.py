@@ -6,7 +6,7 @@ from typing import Any
 
 from lscan.acquisition.run import Run
 from lscan.board import read_board
-from lscan.calibration.solve import Calibration, calibrate
+from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.measurement import BoardMeasures, GrooveMeasures, SandwaveMeasures, measure_reading
 from lscan.pipeline import board_expected, mean_picture, require_board
 from lscan.records import BoardReading, Bytes, Stripe

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from lscan.calibration.file import save_calibration
+from lscan.calibration.calibrationfile import save_calibration
 from lscan.files.disk import make_folder, write_json
 from lscan.measurement import lengths_json
 from lscan.paper.experiment import Experiment

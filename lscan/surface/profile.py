@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.errors import InputError
 from lscan.records import Ints, PlanePoints, Profile, Status, Stripe, has_value, select
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.camera.optics import stated_water
 from lscan.config.documents import Strict
 from lscan.config.plugins import with_package

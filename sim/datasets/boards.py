@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lscan.calibration.readings import joined_marks
+from lscan.calibration.planemap import joined_marks
 from lscan.records import Floats
 from lscan.suites import BoardCase
 from sim.scene import Scene

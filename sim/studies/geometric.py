@@ -14,10 +14,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from lscan.calibration.api import NamedSolver, find_solver
-from lscan.calibration.carry import carried
-from lscan.calibration.outliers import screened
-from lscan.calibration.readings import joined_marks, with_marks
+from lscan.calibration.calibrate import screened
+from lscan.calibration.check import carried
+from lscan.calibration.planemap import NamedSolver, find_solver, joined_marks, with_marks
 from lscan.records import BoardReading, Floats, Status, select
 from sim.scene import Pose, Scene, at_moment, into_world
 from sim.scene.moment import is_changing

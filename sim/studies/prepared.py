@@ -12,9 +12,7 @@ from io import BytesIO
 import numpy as np
 
 from lscan.board import read_board
-from lscan.calibration.api import PlaneMap, find_solver
-from lscan.calibration.readings import joined_marks, with_marks
-from lscan.calibration.solved import SolvedMap
+from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver, joined_marks, with_marks
 from lscan.errors import MeasurementError
 from lscan.files.containers import npz_arrays
 from lscan.records import (

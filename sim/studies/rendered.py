@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from lscan.board import read_board
-from lscan.calibration.readings import joined_marks
+from lscan.calibration.planemap import joined_marks
 from lscan.records import BoardReading, Floats, select
 from sim.render.tank import Tank
 from sim.scene import Scene, at_moment

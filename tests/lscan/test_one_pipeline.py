@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import lscan.paper.results
 from lscan.acquisition.run import Run, open_run
-from lscan.calibration.loading import load_plane_map
+from lscan.calibration.calibrationfile import load_plane_map
 from lscan.cli.app import app
 from lscan.config.targets import Sandwave
 from lscan.measure import compare_slice

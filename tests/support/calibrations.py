@@ -3,7 +3,7 @@
 import numpy as np
 from planeviews import View, paper_board, read_board
 
-from lscan.calibration.solve import (
+from lscan.calibration.calibrate import (
     Calibration,
     calibrate,
 )

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from lscan.calibration.multiview.planemap import SheetView
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
+from lscan.calibration.metric.planemap import SheetView
+from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.camera import CameraModel, PortModel, project
 from lscan.config.rig import OpticsSection
 from lscan.records import Floats, Marks, Status

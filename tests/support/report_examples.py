@@ -13,7 +13,7 @@ import numpy as np
 from places import PAPER_BOARD
 from scipy.spatial.transform import Rotation
 
-from lscan.calibration.solve import Calibration, calibrate
+from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.board import Board, load_board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.measure import SliceErrors

@@ -9,8 +9,8 @@ from places import SCENES
 
 from lscan.acquisition.run import open_run
 from lscan.board import read_board
-from lscan.calibration.file import load_calibration
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.calibrationfile import load_calibration
 from lscan.config.rig import SheetSection, load_rig
 from lscan.live.boardview import read_live_board
 from lscan.live.session import Session

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from places import SCENES
 
-from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
+from lscan.calibration.metric.solve import MetricCalibration, calibrate_metric
+from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.records import Floats, Status
 from sim.datasets.views import held_scenes
 from sim.scene import Scene, load_scene

@@ -11,10 +11,15 @@ from typing import Any, Self, cast
 
 from pydantic import model_validator
 
-from lscan.calibration.api import NOTHING_KNOWN, PlaneMap, find_solver
-from lscan.calibration.crossvalidation import COMPLETE, Score, try_maps
-from lscan.calibration.outliers import screened
-from lscan.calibration.solve import Calibration, calibration_by
+from lscan.calibration.calibrate import (
+    COMPLETE,
+    Calibration,
+    Score,
+    calibration_by,
+    screened,
+    try_maps,
+)
+from lscan.calibration.planemap import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError

@@ -7,6 +7,7 @@ Legendre polynomials of coordinates scaled to -1 to 1 are fitted: they span the 
 polynomials, so the map is that of eqs. (1) and (2), and it keeps its digits at order 9.
 """
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Self
 
@@ -14,14 +15,98 @@ import numpy as np
 from numpy.polynomial import legendre
 from pydantic import Field, model_validator
 
-from lscan.calibration.evaluate import Estimate, propagated, separate_modes, square_root
-from lscan.calibration.maps.scaling import Scaling, box
-from lscan.calibration.region import covered_region
-from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Matrix, check_covariance
+from lscan.calibration.planemap import (
+    STRICT,
+    Estimate,
+    MapSolver,
+    Matrix,
+    Place,
+    SolvedMap,
+    check_covariance,
+    covered_region,
+    propagated,
+    separate_modes,
+    square_root,
+    with_lack_of_fit,
+)
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats
+
+# Shifting and scaling of coordinates, so that least squares stays well conditioned.
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """scaled = (point - centre) / scale.
+
+    Attributes
+    ----------
+    centre, scale : (2,) array, in the points' unit; no scale is 0 or less
+    """
+
+    __pydantic_config__ = STRICT
+    centre: Place
+    scale: Place
+
+    def __post_init__(self) -> None:
+        """Raise ValueError where a scale is 0 or less."""
+        if self.scale.min() <= 0:
+            raise ValueError("a scaling has two scales above 0")
+
+    def apply(self, points: Floats) -> Floats:
+        """(N, 2) scaled.
+
+        Parameters
+        ----------
+        points : (N, 2) array, of any unit
+        """
+        return (points - self.centre) / self.scale
+
+    def undo(self, scaled: Floats) -> Floats:
+        """(N, 2) in the points' unit again.
+
+        Parameters
+        ----------
+        scaled : (N, 2) array
+        """
+        return scaled * self.scale + self.centre
+
+
+def hartley(points: Floats) -> Scaling:
+    """The scaling that brings the centroid to the origin, the mean distance from it to sqrt(2).
+
+    Parameters
+    ----------
+    points : (N, 2) array, of any unit
+
+    References
+    ----------
+    Hartley, "In defense of the eight-point algorithm", IEEE PAMI 19 (1997), Sec. 4.
+    """
+    centre = points.mean(axis=0)
+    scale = np.linalg.norm(points - centre, axis=1).mean() / np.sqrt(2)
+    return Scaling(centre, np.array([scale, scale]))
+
+
+def box(points: Floats) -> Scaling:
+    """The scaling by which the points' bounding box becomes the square from -1 to 1.
+
+    Parameters
+    ----------
+    points : (N, 2) array, of any unit
+
+    Examples
+    --------
+    >>> box(np.array([[0.0, 0.0], [4.0, 2.0]])).apply(np.array([[4.0, 1.0]]))
+    array([[1., 0.]])
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    return Scaling((low + high) / 2, (high - low) / 2)
+
+
+# Two polynomials for the whole picture (paper Sec. I, eqs. (1) and (2), [17]).
+
 
 ORDERS = range(1, 10)
 TERMS = [(order + 1) * (order + 2) // 2 for order in ORDERS]

@@ -12,11 +12,20 @@ import numpy as np
 from pydantic import model_validator
 from scipy.optimize import least_squares
 
-from lscan.calibration.evaluate import Estimate, propagated, square_root
-from lscan.calibration.maps.scaling import Scaling, hartley
-from lscan.calibration.region import covered_region
-from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Matrix, Vector, check_covariance, of_length
+from lscan.calibration.maps.polynomial import Scaling, hartley
+from lscan.calibration.planemap import (
+    Estimate,
+    MapSolver,
+    Matrix,
+    SolvedMap,
+    Vector,
+    check_covariance,
+    covered_region,
+    of_length,
+    propagated,
+    square_root,
+    with_lack_of_fit,
+)
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats

@@ -10,24 +10,222 @@ remains of it is bent so little that the penalty costs next to nothing.
 Each mark counts by its own uncertainty, propagated to mm by the map's Jacobian.  No variants.
 """
 
+from dataclasses import dataclass
+from math import comb
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
+from scipy.interpolate import BSpline
 
-from lscan.calibration.evaluate import Estimate, propagated, separate_modes
-from lscan.calibration.maps.polynomial import terms
+from lscan.calibration.maps.polynomial import Scaling, box, terms
 from lscan.calibration.maps.projective import Projective, solver as projective
-from lscan.calibration.maps.scaling import Scaling, box
-from lscan.calibration.maps.smoothing import COST, Smooth, smooth
-from lscan.calibration.maps.tensorspline import FLAT, ORDER, TensorBasis, even_basis
-from lscan.calibration.readings import all_marks, found_marks
-from lscan.calibration.region import Region, covered_region
-from lscan.calibration.solved import MapSolver, SolvedMap, with_lack_of_fit
-from lscan.calibration.stored import Matrix
+from lscan.calibration.planemap import (
+    STRICT,
+    Estimate,
+    MapSolver,
+    Matrix,
+    Region,
+    SolvedMap,
+    Vector,
+    all_marks,
+    covered_region,
+    found_marks,
+    propagated,
+    separate_modes,
+    with_lack_of_fit,
+)
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats
+
+# Tensor-product cubic B-splines over the picture, and how rough such a surface is.
+
+
+DEGREE = 3
+ORDER = 3  # of the derivatives that roughness is made of
+FLAT = ORDER * (ORDER + 1) // 2  # terms u^i v^j, i + j < ORDER: they have no roughness
+GAUSS_POINTS = 4  # exact for degree 7; a product of two cubics has degree 6
+
+
+@dataclass(frozen=True)
+class TensorBasis:
+    """All products of a cubic B-spline of u and one of v: K = I · J functions, i slowest.
+
+    Attributes
+    ----------
+    knots_u : (I + 4,) array, in the unit of the points
+    knots_v : (J + 4,) array, in the unit of the points
+    """
+
+    __pydantic_config__ = STRICT
+    knots_u: Vector
+    knots_v: Vector
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless both knot vectors rise and suffice for a cubic."""
+        for knots in (self.knots_u, self.knots_v):
+            if len(knots) < 2 * (DEGREE + 1) or np.any(np.diff(knots) < 0):
+                raise ValueError("knots must be eight or more and must not fall")
+            if knots[DEGREE] >= knots[-DEGREE - 1]:
+                raise ValueError("knots must span a stretch")
+
+    @property
+    def count(self) -> int:
+        """K."""
+        return (len(self.knots_u) - DEGREE - 1) * (len(self.knots_v) - DEGREE - 1)
+
+    def rows(self, points: Floats, by_u: int = 0, by_v: int = 0) -> Floats:
+        """(N, K) values of the functions, or of their derivatives.
+
+        Parameters
+        ----------
+        points : (N, 2) array, of (u, v)
+        by_u, by_v : int, how often they are derived by u and by v
+        """
+        of_u = _values(self.knots_u, points[:, 0], by_u)
+        of_v = _values(self.knots_v, points[:, 1], by_v)
+        return (of_u[:, :, None] * of_v[:, None, :]).reshape(len(points), self.count)
+
+    def roughness(self) -> Floats:
+        """(K, K) R so that c @ R @ c is the roughness of the surface with coefficients c.
+
+        It is the integral over the rectangle of the knots of
+        f_uuu² + 3 f_uuv² + 3 f_uvv² + f_vvv², which does not depend on how the axes are
+        turned (Wahba, "Spline Models for Observational Data" (1990), eq. (2.4.9), m = 3).
+        """
+        total = np.zeros((self.count, self.count))
+        for by_u in range(ORDER + 1):
+            of_u, of_v = _products(self.knots_u, by_u), _products(self.knots_v, ORDER - by_u)
+            total += comb(ORDER, by_u) * np.kron(of_u, of_v)
+        return total
+
+
+def even_basis(low: Floats, high: Floats, segments: int) -> TensorBasis:
+    """The basis on a rectangle with equal segments.
+
+    Parameters
+    ----------
+    low, high : (2,) array, two opposite corners of the rectangle
+    segments : int, a side
+    """
+    knots = [
+        np.concatenate([np.full(DEGREE, a), np.linspace(a, b, segments + 1), np.full(DEGREE, b)])
+        for a, b in zip(low, high, strict=True)
+    ]
+    return TensorBasis(*knots)
+
+
+def _values(knots: Floats, x: Floats, derivative: int) -> Floats:
+    """(N, I) the B-splines on ``knots``, or a derivative of each, at x (N,)."""
+    splines = BSpline(knots, np.eye(len(knots) - DEGREE - 1), DEGREE)
+    return splines.derivative(derivative)(x) if derivative else splines(x)
+
+
+def _products(knots: Floats, derivative: int) -> Floats:
+    """(I, I) integrals of the products of two B-splines' derivatives, by Gauss's rule."""
+    nodes, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
+    ends = np.unique(knots)
+    half = np.diff(ends)[:, None] / 2
+    x = (ends[:-1, None] + half * (1 + nodes)).ravel()
+    values = _values(knots, x, derivative)
+    return (values * (half * weights).ravel()[:, None]).T @ values
+
+
+# Penalised least squares: its weight by cross-validation, its covariance as a posterior.
+#
+# A smooth surface with coefficients c is fitted to N values y with standard uncertainties
+# sigma: it minimises the sum of ((y - rows @ c) / sigma)² plus ``weight`` times the roughness
+# c @ R @ c.  The weight is that of the least generalised cross-validation score (Craven &
+# Wahba, Numer. Math. 31 (1979) 377), in which each degree of freedom counts 1.4 times, so
+# that chance rarely makes the surface too rough (Kim & Gu, J. R. Statist. Soc. B 66 (2004)
+# 337).
+#
+# The penalty is equivalent to a Gaussian prior of the surface, so the posterior of that
+# prior is the fit's covariance.  It holds the scatter and the bias of smoothing both: averaged
+# over the surface, its intervals contain the truth as often as they state (Nychka, J. Am.
+# Statist. Assoc. 83 (1988) 1134).
+
+
+COST = 1.4  # of one degree of freedom
+WEIGHTS = np.logspace(3, -12, 151)  # tried, from smooth to rough, over the greatest eigenvalue
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """A fitted surface.
+
+    Attributes
+    ----------
+    coefficients : (K,) array, in the unit of the values
+    root : (K, K) array, root @ root.T is their posterior covariance; its columns are independent
+    freedom : float, degrees of freedom that the fit spends
+    """
+
+    coefficients: Floats
+    root: Floats
+    freedom: float
+
+
+def smooth(rows: Floats, y: Floats, sigma: Floats, roughness: Floats, flat: int) -> Smooth:
+    """The surface of least error and roughness through N values.
+
+    Where the values scatter more than their sigma, the covariance grows by as much; it never
+    shrinks.
+
+    Parameters
+    ----------
+    rows : (N, K) array, the basis functions at the values' places
+    y : (N,) array, the values
+    sigma : (N,) array, their standard uncertainties, above 0
+    roughness : (K, K) array, the penalty
+    flat : int, how many independent surfaces have no roughness; the values must determine those,
+        and be more than 1.4 times as many
+
+    References
+    ----------
+    The scale of the covariance: Birge, Phys. Rev. 40 (1932) 207.
+    """
+    bending, shapes = np.linalg.eigh(roughness)
+    even, bent = shapes[:, :flat], shapes[:, flat:] / np.sqrt(bending[flat:])
+    by_even, by_bent = ((rows @ part) / sigma[:, None] for part in (even, bent))
+    # The even part is free: with it taken out of both sides, a ridge regression is left.
+    square, triangle = np.linalg.qr(by_even)
+    even = even @ np.linalg.inv(triangle)
+    of_even, crossed = square.T @ (y / sigma), square.T @ by_bent
+    left, by_left = y / sigma - square @ of_even, by_bent - square @ crossed
+    power, turn = np.linalg.eigh(by_left.T @ by_left)
+    power, along = np.maximum(power, 0.0), turn.T @ (by_left.T @ left)
+    weight, freedom, scatter = _cross_validate(power, along, left, flat)
+
+    directions = (bent - even @ crossed) @ turn
+    root = np.hstack([even, directions / np.sqrt(power + weight)])
+    coefficients = even @ of_even + directions @ (along / (power + weight))
+    return Smooth(coefficients, root * np.sqrt(max(1.0, scatter)), freedom)
+
+
+def _cross_validate(
+    power: Floats, along: Floats, left: Floats, flat: int
+) -> tuple[float, float, float]:
+    """The weight of the least score, the degrees of freedom it spends, and the scatter it leaves.
+
+    power, along: eigenvalues of the ridge regression and its right side in their basis.
+    left: (N,) what it is to explain.  The scatter is the mean square of the residuals per
+    degree of freedom that is left, in units of sigma².
+    """
+    weights = (WEIGHTS * max(float(power.max()), 1e-300))[:, None]
+    freedom = flat + (power / (power + weights)).sum(axis=1)
+    explained = (along**2 * (power + 2 * weights) / (power + weights) ** 2).sum(axis=1)
+    squares = np.maximum(left @ left - explained, 0.0)
+    spare = len(left) - COST * freedom
+    score = np.where(spare > 0, squares / np.where(spare > 0, spare, 1.0) ** 2, np.inf)
+    best = int(np.argmin(score))
+    scatter = squares[best] / (len(left) - freedom[best])
+    return float(weights[best, 0]), float(freedom[best]), float(scatter)
+
+
+# A smooth surface over a projective map: ``spline``.
+
 
 SEGMENTS = 6  # of the longer side; the penalty, not the knots, limits how much the rest bends
 LEAST_SIGMA_PX = 1e-3  # no mark is known better, whatever it states

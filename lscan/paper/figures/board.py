@@ -7,10 +7,14 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from lscan.board import draw_overlay
-from lscan.calibration.api import PlaneMap
-from lscan.calibration.maps.drawing import DrawnConversion, graticule_lines, ruler_conversions
-from lscan.calibration.maps.graticule import Graticule
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.maps.graticule import (
+    DrawnConversion,
+    Graticule,
+    graticule_lines,
+    ruler_conversions,
+)
+from lscan.calibration.planemap import PlaneMap
 from lscan.figures import style
 from lscan.figures.style import ReportFigure
 from lscan.paper.experiment import BoardResult

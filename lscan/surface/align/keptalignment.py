@@ -17,7 +17,7 @@ from typing import Annotated, Final, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from lscan.calibration.stored import Matrix, Place, Vector, check_covariance, of_length
+from lscan.calibration.planemap import Matrix, Place, Vector, check_covariance, of_length
 from lscan.config.documents import Strict, check
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lscan.board import read_board
-from lscan.calibration.solve import Calibration, calibrate
+from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.board import Board
 from lscan.measure import diameters, distances
 from lscan.records import BoardReading, Floats, Length, Status

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Profile, Stripe
 from lscan.stripe import extract_stripe

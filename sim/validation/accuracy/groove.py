@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.targets import GroovedBlock
 from lscan.measure import groove_dimensions
 from lscan.records import Length

@@ -5,8 +5,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
-from lscan.calibration.multiview.viewsfile import load_views, read_views
+from lscan.calibration.metric.solve import MetricCalibration, calibrate_metric
+from lscan.calibration.metric.views import load_views, read_views
 from lscan.records import Floats
 from sim.datasets.views import write_views
 from sim.scene import Scene, camera_pose, load_scene

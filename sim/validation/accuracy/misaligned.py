@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from lscan.calibration.calibrate import calibrate
 from lscan.calibration.check import check_calibration
-from lscan.calibration.solve import calibrate
 from sim.scene import Scene
 from sim.validation.accuracy.board import map_errors_mm, readings
 from sim.validation.accuracy.effort import AccuracyEffort

@@ -13,8 +13,7 @@ import numpy as np
 from lscan.benchmark.timing import timed
 from lscan.board import read_board
 from lscan.board.chessboard import read_chessboard
-from lscan.calibration.maps.polynomial import terms
-from lscan.calibration.maps.scaling import box
+from lscan.calibration.maps.polynomial import box, terms
 from lscan.config.board import Board, Grid
 from lscan.config.rig import LineChannel, StripeSection
 from lscan.files.disk import packaged_table

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.targets import Sandwave
 from lscan.measure import SliceErrors, compare_slice
 from lscan.pipeline import build_surface, finish

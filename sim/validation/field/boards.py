@@ -11,8 +11,8 @@ import numpy as np
 
 from lscan.benchmark.boards import BOARDS, OPTICS, image_px, reading_of
 from lscan.board import read_board
-from lscan.calibration.readings import without
-from lscan.calibration.solve import Calibration, calibrate
+from lscan.calibration.calibrate import Calibration, calibrate
+from lscan.calibration.planemap import without
 from lscan.config.board import Board, Grid
 from lscan.files.pictures import write_picture
 from lscan.records import BoardReading, Floats, Mask, Status

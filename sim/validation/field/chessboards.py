@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from lscan.board.chessboard import read_chessboard
-from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
+from lscan.calibration.metric.solve import calibrate_metric
+from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, MeasurementError
 from lscan.records import Floats, Marks, Status

@@ -10,10 +10,10 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from lscan.benchmark.boards import seen_marks
-from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.metric.solve import calibrate_metric
+from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.calibration.physical import PhysicalMap
-from lscan.calibration.solve import calibrate
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Floats, Marks, RulerReading

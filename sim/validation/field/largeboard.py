@@ -4,8 +4,8 @@ from pathlib import Path
 from time import process_time
 
 from lscan.board import read_board
-from lscan.calibration.file import save_calibration
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.calibrationfile import save_calibration
 from lscan.config.board import Board, Grid
 from lscan.config.rig import OpticsSection
 from lscan.files.pictures import read_picture

@@ -9,11 +9,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lscan.board import read_board
-from lscan.calibration.multiview.boardline import line_on_board
-from lscan.calibration.multiview.lines import distance_mm
-from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.multiview.usedviews import fit_views
-from lscan.calibration.multiview.views import CalibrationView
+from lscan.calibration.metric.sheet import distance_mm
+from lscan.calibration.metric.solve import calibrate_metric, fit_views
+from lscan.calibration.metric.views import CalibrationView, line_on_board
 from lscan.camera.posedboards import priors_of
 from lscan.records import Floats, Marks, Status
 from lscan.stripe import extract_stripe

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from lscan.calibration.api import PlaneMap
+from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import parse_rig
 from lscan.config.targets import Sandwave, ShapesDocument
 from lscan.files.disk import write_atomically

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from lscan.calibration.carry import carried
+from lscan.calibration.check import carried
 from lscan.calibration.physical import PhysicalMap
 from lscan.config.rig import OpticsSection, Rig, SinceSection
 from lscan.records import Floats

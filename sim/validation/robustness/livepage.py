@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lscan.acquisition.scan import scan
-from lscan.calibration.file import save_calibration
+from lscan.calibration.calibrationfile import save_calibration
 from lscan.config.documents import toml_text
 from lscan.config.rig import load_rig
 from lscan.errors import MeasurementError

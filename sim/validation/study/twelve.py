@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from lscan.calibration.readings import joined_marks
+from lscan.calibration.planemap import joined_marks
 from lscan.config.documents import Document
 from lscan.config.rig import parse_rig
 from lscan.records import select

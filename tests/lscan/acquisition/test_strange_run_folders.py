@@ -231,7 +231,7 @@ def test_no_command_runs_a_run_folders_code(
     command: str,
 ) -> None:
     if command == "check":  # it reads its calibration first, which is of no concern here
-        monkeypatch.setattr("lscan.calibration.loading.load_any", lambda path: None)
+        monkeypatch.setattr("lscan.calibration.calibrationfile.load_any", lambda path: None)
     sign(copy, {"stripe": {"extractor": evil}})
     arguments = [recorded.path if part == "a" else part for part in COMMANDS[command](copy)]
     result = call(capsys, *arguments)

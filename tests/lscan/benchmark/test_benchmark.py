@@ -17,7 +17,7 @@ from lscan.benchmark.maps import bench_maps
 from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells, write_bench
 from lscan.benchmark.pictures import BACKGROUND_DN, SHAPE, LineCase, centres, draw, mean_picture
 from lscan.benchmark.run import MAPS, registered_extractors, run_bench
-from lscan.calibration.api import PlaneMap, find_solver
+from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.cli.app import app
 from lscan.config.rig import NoiseSection, OpticsSection, StripeSection
 from lscan.errors import InputError

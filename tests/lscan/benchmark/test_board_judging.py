@@ -11,7 +11,7 @@ from command_line import call, refused
 from lscan.benchmark.boardjudging import judge_map, judge_reader
 from lscan.benchmark.boards import OPTICS, reading_of
 from lscan.benchmark.suiterun import run_boards, suite_rows
-from lscan.calibration.api import find_solver
+from lscan.calibration.planemap import find_solver
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Status
 

@@ -10,8 +10,8 @@ import pytest
 from calibrations import BOARD, OPTICS, drawn_calibration
 from planeviews import View, board_points, read_board
 
-from lscan.calibration.file import load_calibration, save_calibration
-from lscan.calibration.solve import Calibration, calibrate, resolve
+from lscan.calibration.calibrate import Calibration, calibrate, resolve
+from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.errors import InputError
 from lscan.records import Mark, Marks, PlanePoints, RingPoints, Status
 

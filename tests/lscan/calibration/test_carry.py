@@ -10,11 +10,11 @@ from metricviews import SIZE, known, paper_rig, poses, views_of
 from planeviews import View, paper_board, read_board
 from scipy.spatial.transform import Rotation
 
-from lscan.calibration.api import find_solver
-from lscan.calibration.carry import carried
+from lscan.calibration.check import carried
 from lscan.calibration.maps.refractive import Refractive
-from lscan.calibration.multiview.planemap import Metric
-from lscan.calibration.multiview.solve import calibrate_metric
+from lscan.calibration.metric.planemap import Metric
+from lscan.calibration.metric.solve import calibrate_metric
+from lscan.calibration.planemap import find_solver
 from lscan.camera import project
 from lscan.config.rig import CameraSection, OpticsSection, Rig, SinceSection, TrackSection
 from lscan.errors import InputError

@@ -9,9 +9,9 @@ from hypothesis import given, settings, strategies as st
 from planeviews import BARREL, View, paper_board, read_board, with_noise
 from scipy import stats
 
+from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.calibration.check import CalibrationCheck, check_calibration
-from lscan.calibration.motion import Motion, closest_motion, fit_similarity
-from lscan.calibration.solve import Calibration, calibrate
+from lscan.calibration.offsheet import Motion, closest_motion, fit_similarity
 from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats
 

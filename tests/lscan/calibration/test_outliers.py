@@ -9,10 +9,9 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from planeviews import BARREL, View, board_points, paper_board, read_board, views
 
-from lscan.calibration.file import load_calibration, save_calibration
-from lscan.calibration.outliers import outliers, screened
-from lscan.calibration.readings import all_marks, without
-from lscan.calibration.solve import calibrate, resolve
+from lscan.calibration.calibrate import calibrate, outliers, resolve, screened
+from lscan.calibration.calibrationfile import load_calibration, save_calibration
+from lscan.calibration.planemap import all_marks, without
 from lscan.config.board import Grid
 from lscan.records import BoardReading, Floats, Ints, RulerReading, Status
 

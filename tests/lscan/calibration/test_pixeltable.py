@@ -6,9 +6,8 @@ from hypothesis import given, settings, strategies as st
 from planeviews import View, board_points, paper_board, read_board
 
 from lscan.calibration.maps.refractive import Refractive, solver
-from lscan.calibration.physical import PhysicalMap
-from lscan.calibration.pixeltable import BLOCK, SHARE, PixelTable, tabulated
-from lscan.calibration.region import Region
+from lscan.calibration.physical import BLOCK, SHARE, PhysicalMap, PixelTable, tabulated
+from lscan.calibration.planemap import Region
 from lscan.config.rig import OpticsSection, SinceSection
 from lscan.records import Floats
 

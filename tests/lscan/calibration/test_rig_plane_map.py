@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 import lscan.config.rig
-from lscan.calibration.api import find_solver
+from lscan.calibration.planemap import find_solver
 from lscan.config.rig import RigFile, load_rig
 from lscan.errors import InputError
 

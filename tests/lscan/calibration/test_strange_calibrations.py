@@ -13,10 +13,8 @@ from hypothesis import given, settings, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from peak_memory import refused_within
 
-from lscan.calibration.file import save_calibration
-from lscan.calibration.loading import load_plane_map
-from lscan.calibration.multiview.file import save_metric
-from lscan.calibration.multiview.solve import calibrate_metric
+from lscan.calibration.calibrationfile import load_plane_map, save_calibration, save_metric
+from lscan.calibration.metric.solve import calibrate_metric
 from lscan.errors import InputError, LscanError
 
 pytestmark = pytest.mark.xdist_group("strange_calibrations")  # one worker: they share a fixture
@@ -130,8 +128,8 @@ def test_a_file_takes_memory_in_proportion(tmp_path: Path) -> None:
     count = 2**20
     (tmp_path / "c.json").write_text("[" + "[]," * count + "[]]")
     said, most_mib = refused_within(
-        "from pathlib import Path\nfrom lscan.calibration.loading import load_plane_map\n"
-        "import lscan.calibration.multiview, lscan.calibration.solve",
+        "from pathlib import Path\nfrom lscan.calibration.calibrationfile import load_plane_map\n"
+        "import lscan.calibration.metric, lscan.calibration.calibrate",
         f"load_plane_map(Path({str(tmp_path / 'c.json')!r}))",
     )
     assert "c.json: is no calibration file" in said

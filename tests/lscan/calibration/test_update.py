@@ -11,13 +11,11 @@ from metricviews import SIZE, known, paper_rig, poses, views_of
 from planeviews import BARREL, View, paper_board, read_board
 
 from lscan.calibration import physical
-from lscan.calibration.check import CalibrationCheck, check_calibration
-from lscan.calibration.evaluate import Estimate
-from lscan.calibration.loading import AnyCalibration, load_any, load_plane_map, save_any
-from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.sheetcorrection import SheetCorrection
-from lscan.calibration.solve import Calibration, calibrate
-from lscan.calibration.update import corrected, proposed
+from lscan.calibration.calibrate import Calibration, calibrate
+from lscan.calibration.calibrationfile import AnyCalibration, load_any, load_plane_map, save_any
+from lscan.calibration.check import CalibrationCheck, check_calibration, corrected, proposed
+from lscan.calibration.metric.solve import calibrate_metric
+from lscan.calibration.planemap import Estimate, SheetCorrection
 from lscan.camera import project
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError

@@ -9,7 +9,7 @@ import pytest
 from command_line import call, refused
 from planeviews import PAPER_BOARD, paper_board
 
-from lscan.calibration.file import load_calibration
+from lscan.calibration.calibrationfile import load_calibration
 from lscan.calibration.maps import auto
 from lscan.config.documents import read_document, write_toml
 from lscan.files.pictures import write_picture

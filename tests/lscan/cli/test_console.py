@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from command_line import call
 
-from lscan.calibration.api import find_solver
+from lscan.calibration.planemap import find_solver
 from lscan.cli import console
 from lscan.cli.arguments import EXTRACTORS, MAPS
 from lscan.cli.console import note, print_table, progress_bar

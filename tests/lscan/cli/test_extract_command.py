@@ -11,9 +11,9 @@ from drawn_runs import sandwave_run
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from PIL import ExifTags, Image
 
-from lscan.calibration.carry import carried
-from lscan.calibration.multiview.file import save_metric
-from lscan.calibration.multiview.solve import MetricCalibration, calibrate_metric
+from lscan.calibration.calibrationfile import save_metric
+from lscan.calibration.check import carried
+from lscan.calibration.metric.solve import MetricCalibration, calibrate_metric
 from lscan.files.pictures import read_picture, write_picture
 
 UPPER, LOWER = 200.0, 260.0

@@ -28,9 +28,8 @@ from png_files import grey_png
 
 from lscan.acquisition.run import open_run
 from lscan.benchmark.savedrun import read_saved
-from lscan.calibration.file import load_calibration
-from lscan.calibration.multiview.file import load_camera, load_metric
-from lscan.calibration.multiview.viewsfile import load_views, read_views
+from lscan.calibration.calibrationfile import load_calibration, load_camera, load_metric
+from lscan.calibration.metric.views import load_views, read_views
 from lscan.config.board import load_board
 from lscan.config.rig import load_rig
 from lscan.config.targets import load_shapes

@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 from planeviews import View, board_points, paper_board, read_board
 from stripe_pictures import light_of
 
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.live.analysis import (

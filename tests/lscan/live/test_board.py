@@ -8,7 +8,7 @@ from planeviews import View, paper_board, read_board, with_noise
 from scipy.spatial.transform import Rotation
 
 import lscan.live.boardview as boardview
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
 from lscan.config.rig import CalibrationSection, CameraSection, Rig, SheetSection, TrackSection
 from lscan.errors import BoardNotFound
 from lscan.live.boardview import NO_PLACE, UNCALIBRATED, read_live_board

@@ -12,7 +12,7 @@ import pytest
 import report_examples as examples
 from hypothesis import given, settings, strategies as st
 
-from lscan.calibration.maps.drawing import DrawnConversion
+from lscan.calibration.maps.graticule import DrawnConversion
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.figures import style

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from places import SCENES
 
-from lscan.calibration.multiview.viewsfile import load_views
+from lscan.calibration.metric.views import load_views
 from lscan.config.board import load_board
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture

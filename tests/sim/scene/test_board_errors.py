@@ -8,7 +8,7 @@ from hypothesis import given, settings, strategies as st
 from places import SCENES
 from truth_scenes import tank
 
-from lscan.calibration.solve import calibrate
+from lscan.calibration.calibrate import calibrate
 from lscan.config.board import Board
 from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from study_cases import known_of, study_with
 
-from lscan.calibration.api import find_solver
+from lscan.calibration.planemap import find_solver
 from lscan.config.documents import Document, merge
 from lscan.config.rig import parse_rig
 from lscan.errors import BoardNotFound, InputError, MeasurementError

@@ -9,14 +9,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board
 
-from lscan.calibration import crossvalidation
-from lscan.calibration.api import NamedSolver, find_solver
-from lscan.calibration.crossvalidation import Score, deal, try_maps
-from lscan.calibration.file import load_calibration, save_calibration
+from lscan.calibration import calibrate as crossvalidation
+from lscan.calibration.calibrate import Score, calibrate, deal, resolve, try_maps
+from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.calibration.maps import auto
 from lscan.calibration.maps.auto import Auto, calibrate_best, ranked
-from lscan.calibration.readings import without
-from lscan.calibration.solve import calibrate, resolve
+from lscan.calibration.planemap import NamedSolver, find_solver, without
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, RulerReading
 

@@ -3,8 +3,14 @@
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from lscan.calibration.maps.curvetable import CurveTable
-from lscan.calibration.maps.lines import Curve, CurvePoints, Fit, fit_curves, fit_polynomials
+from lscan.calibration.maps.graticulelines import (
+    Curve,
+    CurvePoints,
+    CurveTable,
+    Fit,
+    fit_curves,
+    fit_polynomials,
+)
 
 FITS: tuple[Fit, ...] = ("1", "2", "bspline")
 

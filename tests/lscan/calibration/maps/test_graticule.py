@@ -7,11 +7,16 @@ import pytest
 from hypothesis import given, settings
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board, views
 
-from lscan.calibration.api import find_solver
-from lscan.calibration.maps.drawing import graticule_lines, ruler_conversions
-from lscan.calibration.maps.graticule import VARIANTS, Graticule, solver
-from lscan.calibration.maps.lines import GridLine, fit_lines
-from lscan.calibration.maps.lineset import LineSet
+from lscan.calibration.maps.graticule import (
+    VARIANTS,
+    Graticule,
+    LineSet,
+    graticule_lines,
+    ruler_conversions,
+    solver,
+)
+from lscan.calibration.maps.graticulelines import GridLine, fit_lines
+from lscan.calibration.planemap import find_solver
 from lscan.config.board import Board
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, Status

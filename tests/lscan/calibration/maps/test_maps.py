@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board, views
 
-from lscan.calibration.api import find_solver
 from lscan.calibration.maps.projective import solver as projective
+from lscan.calibration.planemap import find_solver
 from lscan.errors import BoardNotFound, InputError
 from lscan.paper.experiment import METHODS
 from lscan.records import BoardReading, Floats, Marks, RulerReading, Status

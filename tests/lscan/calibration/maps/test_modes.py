@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from planeviews import View, board_points, paper_board, read_board, with_noise
 
-from lscan.calibration.api import find_solver
-from lscan.calibration.evaluate import square_root
+from lscan.calibration.planemap import find_solver, square_root
 from lscan.records import Status
 
 BOARD = paper_board()

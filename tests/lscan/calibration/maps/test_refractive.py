@@ -14,13 +14,12 @@ from scipy.spatial import Delaunay
 
 from lscan import camera as optics
 from lscan.calibration import physical
-from lscan.calibration.api import find_solver
-from lscan.calibration.file import load_calibration, save_calibration
-from lscan.calibration.maps import refractivefit
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.calibrationfile import load_calibration, save_calibration
+from lscan.calibration.maps import refractive as refractivefit
 from lscan.calibration.maps.refractive import NAMES, Refractive, solver
-from lscan.calibration.physical import change_modes
-from lscan.calibration.pixeltable import SHARE
-from lscan.calibration.solve import calibrate
+from lscan.calibration.physical import SHARE, change_modes
+from lscan.calibration.planemap import find_solver
 from lscan.camera.posedboards import CENTRE_WIDTHS, FOCAL_WIDTHS
 from lscan.config.rig import OpticsSection, SinceSection
 from lscan.errors import BoardNotFound, InputError

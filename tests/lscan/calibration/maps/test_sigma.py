@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from planeviews import BARREL, View, board_points, paper_board, read_board, with_noise
 
-from lscan.calibration.api import PlaneMap, find_solver
 from lscan.calibration.maps.projective import solver as projective
-from lscan.calibration.solved import SolvedMap
+from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver
 from lscan.records import Floats
 
 BOARD = paper_board()

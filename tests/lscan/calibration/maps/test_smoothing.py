@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.calibration.maps.smoothing import Smooth, smooth
-from lscan.calibration.maps.tensorspline import FLAT, TensorBasis, even_basis
+from lscan.calibration.maps.spline import FLAT, Smooth, TensorBasis, even_basis, smooth
 from lscan.records import Floats
 
 LOW, HIGH = np.array([-1.0, -0.7]), np.array([1.0, 0.8])

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from planeviews import BARREL, View, board_points, paper_board, read_board, views
 
 from lscan.board import read_board as read_photograph
-from lscan.calibration.api import find_solver
+from lscan.calibration.calibrate import residuals
 from lscan.calibration.maps.spline import solver
-from lscan.calibration.readings import without
-from lscan.calibration.solve import residuals
+from lscan.calibration.planemap import find_solver, without
 from lscan.config.board import Board
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Status

@@ -3,7 +3,7 @@
 import numpy as np
 from metricviews import COLUMNS, PITCH_MM, ROWS, marks_of, paper_rig, poses
 
-from lscan.calibration.multiview.boardline import EDGE_PX, line_on_board
+from lscan.calibration.metric.views import EDGE_PX, line_on_board
 from lscan.camera import project
 from lscan.records import Status, Stripe
 

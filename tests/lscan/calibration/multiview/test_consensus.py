@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.calibration.multiview.consensus import Agreement, agreed_plane
+from lscan.calibration.metric.sheet import Agreement, agreed_plane
 from lscan.errors import MeasurementError
 from lscan.records import Floats
 

@@ -12,19 +12,22 @@ import typer
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from typer.testing import CliRunner
 
-from lscan.calibration.api import find_solver
-from lscan.calibration.loading import load_plane_map
-from lscan.calibration.multiview import viewsfile
-from lscan.calibration.multiview.file import load_camera, load_metric, save_camera, save_metric
-from lscan.calibration.multiview.solve import (
+from lscan.calibration.calibrationfile import (
+    load_camera,
+    load_metric,
+    load_plane_map,
+    save_camera,
+    save_metric,
+)
+from lscan.calibration.metric import views as viewsfile
+from lscan.calibration.metric.solve import (
     MetricCalibration,
+    UnsolvedViews,
     calibrate_camera,
     calibrate_metric,
 )
-from lscan.calibration.multiview.usedviews import UnsolvedViews
-from lscan.calibration.multiview.views import CalibrationView
-from lscan.calibration.multiview.viewsfile import load_views, read_views
-from lscan.calibration.readings import without
+from lscan.calibration.metric.views import CalibrationView, load_views, read_views
+from lscan.calibration.planemap import find_solver, without
 from lscan.camera import CameraModel, project
 from lscan.cli.multiview import calibrate_metric as command
 from lscan.config.rig import OpticsSection

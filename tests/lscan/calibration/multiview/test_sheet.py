@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from metricviews import SIZE, Pose, known, line_of, marks_of, paper_rig, poses, views_of, with_noise
 
-from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.multiview.usedviews import UnsolvedViews
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
+from lscan.calibration.metric.solve import UnsolvedViews, calibrate_metric
+from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.errors import MeasurementError
 from lscan.records import Status
 

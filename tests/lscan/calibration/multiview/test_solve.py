@@ -21,9 +21,8 @@ from metricviews import (
 from places import PHOTOGRAPHS
 
 from lscan.board.chessboard import read_chessboard
-from lscan.calibration.multiview.solve import calibrate_camera, calibrate_metric
-from lscan.calibration.multiview.usedviews import fit_views
-from lscan.calibration.multiview.views import CalibrationView
+from lscan.calibration.metric.solve import calibrate_camera, calibrate_metric, fit_views
+from lscan.calibration.metric.views import CalibrationView
 from lscan.camera.posedboards import CAMERA, priors_of
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 
-from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.multiview.views import CalibrationView
+from lscan.calibration.metric.solve import calibrate_metric
+from lscan.calibration.metric.views import CalibrationView
 from lscan.errors import MeasurementError
 
 NOISE_PX = 0.03

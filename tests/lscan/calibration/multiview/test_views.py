@@ -13,9 +13,8 @@ import pytest
 from metricviews import SIZE, Pose, Rig, known, paper_rig, poses
 
 from lscan.board.chessboard import read_charuco
-from lscan.calibration.multiview.solve import calibrate_metric
-from lscan.calibration.multiview.views import CalibrationView
-from lscan.calibration.multiview.viewsfile import load_views, read_views
+from lscan.calibration.metric.solve import calibrate_metric
+from lscan.calibration.metric.views import CalibrationView, load_views, read_views
 from lscan.camera import CameraModel, project
 from lscan.errors import BoardNotFound, InputError
 from lscan.files.pictures import write_picture

@@ -13,7 +13,7 @@ from places import ROOT
 from typer.testing import CliRunner
 
 import sim.validation.field.run
-from lscan.calibration.multiview.views import CalibrationView, LinePoints
+from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.calibration.physical import PhysicalMap
 from lscan.errors import InputError
 from sim.cli.app import app

@@ -1,0 +1,571 @@
+"""From the views of a board to camera, laser sheet and map, and what became of each view."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+
+from lscan.calibration.metric.planemap import Metric, SheetView, metric_map
+from lscan.calibration.metric.sheet import LaserPlane, NoLaserPlane, find_plane
+from lscan.calibration.metric.views import CalibrationView, FittedView, LinePoints
+from lscan.calibration.planemap import found_on, region_around
+from lscan.camera.optics import stated_water
+from lscan.camera.posedboards import COUNT, CameraPriors, PosedBoards, priors_of
+from lscan.camera.resection import (
+    MEDIAN,
+    BoardMarks,
+    CameraFit,
+    best_start,
+    chi_square,
+    fit_boards,
+    sound_marks,
+    with_covariance,
+)
+from lscan.config.rig import Known, OpticsSection
+from lscan.errors import MeasurementError
+from lscan.records import Floats, select
+from lscan.version import __version__
+
+# Whether a camera's pixels are square, as the camera's model takes them to be.
+#
+# Pixels that are not, as of a picture squeezed to another format, make a camera of square pixels
+# that fits badly and is wrong in silence: with pixels a third too wide the focal length was
+# two and a half times too long.  What the marks themselves say of the pixels is seen by fitting a
+# pinhole with distortion to them, once with square pixels and once with any.
+
+
+POOR = 1.2  # times the marks' own uncertainty, from which a misfit is looked into
+BETTER = 1.1  # times less must be left with pixels of another shape
+NEARLY_SQUARE = 0.005  # of a side: what a bent board may look like; costs 2 sigmas of focal length
+
+
+@dataclass(frozen=True)
+class PinholeFit:
+    """A pinhole with distortion in the place of the camera.
+
+    Attributes
+    ----------
+    rms_px : float, px, what it leaves of the marks
+    height : float, of a pixel, over its width
+    """
+
+    rms_px: float
+    height: float
+
+
+def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -> str:
+    """Of what shape pixels are that the marks show not to be square, and what to do; else "".
+
+    Parameters
+    ----------
+    fit : CameraFit, camera and poses, with square pixels
+    image_size : tuple of int, (width, height) of the pictures, px
+    own_px : (N,) array, px, standard uncertainty of each mark as it was read
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000).
+    """
+    left_px = float(np.sqrt(np.mean(fit.marks.missed_px(fit.boards)[fit.good] ** 2)))
+    if left_px < POOR * float(np.median(own_px)):
+        return ""
+    square = _pinhole(fit, image_size, cv2.CALIB_FIX_ASPECT_RATIO)
+    shaped = _pinhole(fit, image_size, 0)
+    if square.rms_px < BETTER * shaped.rms_px or abs(shaped.height - 1) < NEARLY_SQUARE:
+        return ""
+    width, height = image_size
+    return (
+        f"the camera's pixels are not square: {shaped.height:.4f} times as high as wide, the marks "
+        f"fit to {shaped.rms_px:.2f} px rms, as squares to {square.rms_px:.2f} px; use a format of "
+        f"the camera that does not squeeze its pictures, or scale them all to {width} x "
+        f"{round(height * shaped.height)} px"
+    )
+
+
+def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> PinholeFit:
+    marks, boards = fit.marks, np.unique(fit.marks.board)
+    each = [fit.good & (marks.board == board) for board in boards]
+    on_board = np.column_stack([marks.board_mm, np.zeros(len(marks.board_mm))]).astype(np.float32)
+    try:
+        rms, camera, *_ = cv2.calibrateCamera(
+            [on_board[used] for used in each],
+            [marks.image_px[used].astype(np.float32) for used in each],
+            image_size,
+            np.eye(3),
+            np.zeros(5),
+            flags=flags | cv2.CALIB_FIX_K3,
+        )
+    except cv2.error:  # poses that give it no start
+        return PinholeFit(np.inf, 1.0)
+    return PinholeFit(float(rms), float(camera[0, 0] / camera[1, 1]))
+
+
+# Camera and poses from the views of a board, and which of the views they rest on.
+
+
+FEWEST_VIEWS = 3  # Zhang 2000, Sec. 3.1: two give a camera without skew, a third checks it
+FEWEST_MARKS = 6  # of a view; its pose needs four
+WRONG_VIEW = 4.0  # times the median over the views of each one's median residual
+DOUBTFUL_VIEW = 2.0  # times the median over the views of each one's rms, from which it is named
+MOST_WRONG = 0.25  # of a view's marks; beyond it the view is an outlier
+LEAST_FOCAL = 0.05  # relative uncertainty of the focal length beyond which it is not known
+ROUNDS = 10
+TOLERANCE = 1e-12  # relative change of the sum of squares
+SETTLED = 1e-3  # relative change of chi squared
+MOST_NAMED = 12  # views that a message names
+TILTED = "hold it at different tilts, 20 to 45 deg, to different sides"
+
+
+class UnsolvedViews(MeasurementError):
+    """Views that give no calibration.
+
+    Attributes
+    ----------
+    views : tuple of FittedView, as far as it is known what is wrong with each
+    """
+
+    def __init__(self, message: str, views: Sequence[FittedView]) -> None:
+        """Add to the message what is wrong with each view.
+
+        Parameters
+        ----------
+        message : str, why there is no calibration
+        views : sequence of FittedView, all of them
+        """
+        named = [f"{view.name}: {view.reason}" for view in views if view.reason]
+        rest = [f"{len(named) - MOST_NAMED} more"] if len(named) > MOST_NAMED else []
+        listed = "; ".join([*named[:MOST_NAMED], *rest])
+        super().__init__(f"{message} ({listed})" if listed else message)
+        self.views = tuple(views)
+
+
+@dataclass(frozen=True)
+class UsedViews:
+    """The solution from those views that are no outliers.
+
+    Attributes
+    ----------
+    fit : CameraFit, camera and poses
+    numbers : tuple of int, of the views used
+    faults : dict of str, by number, why others are not among them
+    """
+
+    fit: CameraFit
+    numbers: tuple[int, ...]
+    faults: dict[int, str]
+
+
+def fit_views(
+    views: Sequence[CalibrationView],
+    optics: OpticsSection,
+    priors: CameraPriors,
+    image_size: tuple[int, int],
+) -> UsedViews:
+    """Camera and poses from all views but outliers.
+
+    The worst view is left out, one at a time, while its residuals are WRONG_VIEW times as large
+    as the median view's; within views, single marks that are outliers (fit.sound_marks).
+
+    Parameters
+    ----------
+    views : sequence of CalibrationView, px and mm
+    optics : OpticsSection, its port counts
+    priors : CameraPriors, what is known of the camera beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+
+    Raises
+    ------
+    UnsolvedViews
+        Where fewer than three views are usable, no camera explains them, their poses do not
+        determine the focal length, or the pixels are not square.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000).
+    """
+    faults = {number: reason for number, view in enumerate(views) if (reason := _unusable(view))}
+    numbers = [number for number in range(len(views)) if number not in faults]
+    while True:
+        if len(numbers) < FEWEST_VIEWS:
+            wanted = f"{FEWEST_VIEWS} views of the board, usable {len(numbers)}"
+            raise UnsolvedViews(f"the metric route needs {wanted}", _unfitted(views, faults))
+        found = [seen for number in numbers if (seen := views[number].marks) is not None]
+        marks = found_on(found, range(len(numbers)))
+        start = best_start(marks, priors, optics.port, image_size[0])
+        if start is None:
+            message = "no camera explains the views of the board"
+            raise UnsolvedViews(message, _unfitted(views, faults))
+        fit = _fit(start, marks, priors)
+        wrong = _worst_view(fit, marks)
+        if wrong is None:
+            break
+        index, faults[numbers[index]] = wrong
+        del numbers[index]
+    used = UsedViews(fit, tuple(numbers), faults)
+    message = oblong_pixels(fit, image_size, marks.sigma_px) or _open_focal(fit, priors)
+    if message:
+        raise UnsolvedViews(message, fitted_views(views, used))
+    return used
+
+
+def fitted_views(views: Sequence[CalibrationView], used: UsedViews) -> list[FittedView]:
+    """What became of each view's marks.
+
+    A view whose marks lie DOUBTFUL_VIEW times as far off as those of the median view, and farther
+    than they say of themselves, counts, and says so in its reason: the board moved, or it bends.
+
+    Parameters
+    ----------
+    views : sequence of CalibrationView, as ``fit_views`` took them
+    used : UsedViews, as it gave them
+    """
+    fit = used.fit
+    miss = fit.marks.missed_px(fit.boards)
+    fitted = _unfitted(views, used.faults)
+    for board, number in enumerate(used.numbers):
+        mine = (fit.marks.board == board) & fit.good
+        fitted[number] = replace(
+            fitted[number],
+            used=True,
+            marks_used=int(mine.sum()),
+            rms_px=float(np.sqrt((miss[mine] ** 2).sum(axis=1).mean())),
+            reason=views[number].fault,
+        )
+    usual = float(np.median([fitted[number].rms_px for number in used.numbers]))
+    for number in used.numbers:
+        view = fitted[number]
+        assert view.marks is not None  # it is used
+        stated = np.sqrt(2) * float(np.median(view.marks.sigma_px[view.marks.found]))
+        if view.rms_px > DOUBTFUL_VIEW * max(usual, stated) and not view.reason:
+            ratio = view.rms_px / usual
+            reason = f"its marks lie {view.rms_px:.2f} px rms off, {ratio:.1f} times the usual"
+            fitted[number] = replace(view, reason=reason)
+    return fitted
+
+
+def _unfitted(views: Sequence[CalibrationView], faults: dict[int, str]) -> list[FittedView]:
+    """The views as read, with the faults of some by number."""
+    return [
+        FittedView(view.name, view.marks, view.line, view.fault, reason=faults.get(number, ""))
+        for number, view in enumerate(views)
+    ]
+
+
+def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraFit:
+    """The fit to the sound marks, with the marks' uncertainties as it shows them.
+
+    What is left beyond the marks' own uncertainties (compression, an uneven board) is taken to
+    displace all marks alike, and is added to each one's: a few marks of little noise must not
+    decide alone.
+    """
+    good = np.ones(len(marks.board), dtype=bool)
+    own = marks.sigma_px
+    boards = fit_boards(start, marks, priors, TOLERANCE)
+    chi = chi_square(boards, marks, priors)
+    free = int(priors.free.sum()) + len(boards.theta) - COUNT
+    for _ in range(ROUNDS):
+        miss = marks.missed_px(boards)[good]
+        excess = (miss**2).sum() / max(miss.size - free, 1) - np.mean(own[good] ** 2)
+        marks = replace(marks, sigma_px=np.hypot(own, np.sqrt(max(0.0, excess))))
+        before, good = good, sound_marks(marks.lengths(boards))
+        boards = fit_boards(boards, select(marks, good), priors, TOLERANCE)
+        chi_before, chi = chi, chi_square(boards, select(marks, good), priors)
+        if np.isclose(chi, chi_before, rtol=SETTLED) and (good == before).all():
+            break
+    return with_covariance(boards, marks, priors, good)
+
+
+def _unusable(view: CalibrationView) -> str:
+    """Why a view has no marks to use; "" where it has."""
+    if view.marks is None:
+        return view.fault or "the board was not found"
+    if view.marks_found < FEWEST_MARKS:
+        return f"only {view.marks_found} marks found, {FEWEST_MARKS} are needed"
+    places = view.marks.board_mm[view.marks.found]
+    if np.linalg.matrix_rank(places - places.mean(axis=0)) < 2:
+        return f"the {view.marks_found} marks found lie in one line of the board"
+    return ""
+
+
+def _worst_view(fit: CameraFit, marks: BoardMarks) -> tuple[int, str] | None:
+    """The index and the fault of the view that disagrees most with the others, if one does.
+
+    marks: as read, with the uncertainties that they state of themselves.
+    """
+    lengths = np.hypot(*fit.marks.missed_px(fit.boards).T)
+    each = [fit.marks.board == index for index in range(int(marks.board.max()) + 1)]
+    rms = np.array([np.sqrt(np.mean(lengths[mask] ** 2)) for mask in each])
+    level = np.array([np.median(lengths[mask]) for mask in each])
+    lost = np.array([np.mean(~fit.good[mask]) for mask in each])
+    worst = int(level.argmax())
+    usual = max(float(np.median(level)), MEDIAN * float(np.median(marks.sigma_px)))
+    if level[worst] > WRONG_VIEW * usual:
+        return worst, f"its marks lie {rms[worst]:.2f} px rms off what the other views say"
+    worst = int(lost.argmax())
+    if lost[worst] > MOST_WRONG:
+        return worst, f"{100 * lost[worst]:.0f} % of its marks do not fit the board"
+    return None
+
+
+def _open_focal(fit: CameraFit, priors: CameraPriors) -> str:
+    """What is wrong with poses that leave the focal length open, or "".
+
+    Boards that all face the camera do.
+    """
+    if priors.sigma[0] == 0:
+        return ""
+    focal, sigma = float(fit.boards.theta[0]), float(np.linalg.norm(fit.root[0]))
+    if sigma <= LEAST_FOCAL * focal:
+        return ""
+    return (
+        f"the views do not determine the focal length ({focal:.0f} px, standard uncertainty "
+        f"{sigma:.0f} px): the board faces the camera alike in all of them; {TILTED}"
+    )
+
+
+# From the views of a board to camera, laser sheet and map, and what became of each view.
+
+
+FARTHER = 2.0  # times than the lines: the origin's uncertainty goes with the square of its distance
+
+
+@dataclass(frozen=True)
+class SolvedViews:
+    """The views of a board that something was solved from, and what is known of the camera.
+
+    Attributes
+    ----------
+    views : tuple of FittedView, as read, and what became of each
+    optics : OpticsSection, what was known of the camera
+    k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+    sigma : (14,) array, standard uncertainties of the camera (parameters.CAMERA), 0 of what was
+        held
+    software : str, name and version of the program that solved it
+    """
+
+    views: tuple[FittedView, ...]
+    optics: OpticsSection
+    k3: Known
+    image_size: tuple[int, int]
+    sigma: Floats
+    software: str
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square length of the used marks' residuals in all used views."""
+        return _pooled([(view.rms_px, view.marks_used) for view in self.views if view.used])
+
+
+@dataclass(frozen=True)
+class CameraCalibration(SolvedViews):
+    """A camera alone, and what it rests on.
+
+    Attributes
+    ----------
+    theta : (14,) array, the camera (parameters.CAMERA)
+    """
+
+    theta: Floats
+
+    def boards_beside(self, views: Sequence[CalibrationView]) -> list[CalibrationView]:
+        """The used boards, for another calibration to rest on as well, but those it has itself.
+
+        The same picture counts once: twice, it would halve its variance.
+
+        Parameters
+        ----------
+        views : sequence of CalibrationView, of the other calibration
+        """
+        seen = {_place(view) for view in views}
+        used = [CalibrationView(view.name, view.marks) for view in self.views if view.used]
+        return [board for board in used if _place(board) not in seen]
+
+
+@dataclass(frozen=True)
+class MetricCalibration(SolvedViews):
+    """A metric map and what it rests on.
+
+    Attributes
+    ----------
+    plane_map : Metric, from the pixels of that camera to the laser sheet
+    """
+
+    plane_map: Metric
+
+    @property
+    def theta(self) -> Floats:
+        """(14,) the camera (parameters.CAMERA)."""
+        return self.plane_map.view.theta
+
+    @property
+    def line_rms_mm(self) -> float:
+        """Root mean square distance of the used line points from the sheet."""
+        lines = [view for view in self.views if view.line_used]
+        return _pooled([(view.line_rms_mm, view.line_points_used) for view in lines])
+
+
+def _place(view: CalibrationView) -> bytes:
+    """Where the marks are, to the last bit: no two pictures show them alike."""
+    return b"" if view.marks is None else view.marks.image_px[view.marks.found].tobytes()
+
+
+def calibrate_camera(
+    views: Sequence[CalibrationView],
+    optics: OpticsSection,
+    image_size: tuple[int, int],
+    k3: Known = (0.0, 0.0),
+) -> CameraCalibration:
+    """The camera alone from views of a board in several poses; a laser line is not needed.
+
+    Parameters
+    ----------
+    views : sequence of CalibrationView, px and mm, three usable ones or more
+    optics : OpticsSection, what is known of the camera beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+    k3 : tuple of float, third radial coefficient and its standard uncertainty; held at 0 by default
+
+    Raises
+    ------
+    InputError
+        For what is known of the camera out of its range.
+    UnsolvedViews
+        Where fewer than three views are usable, or where their poses do not determine the focal
+        length.
+    """
+    views = [
+        view if view.marks is None else CalibrationView(view.name, view.marks) for view in views
+    ]
+    priors = priors_of(optics, image_size, k3, assume_webcam=False)
+    used = fit_views(views, optics, priors, image_size)
+    solved = _solved(used, fitted_views(views, used), optics, image_size, k3)
+    return CameraCalibration(theta=used.fit.boards.theta[:COUNT], **solved)
+
+
+def calibrate_metric(
+    views: Sequence[CalibrationView],
+    optics: OpticsSection,
+    image_size: tuple[int, int],
+    k3: Known = (0.0, 0.0),
+) -> MetricCalibration:
+    """The camera, the laser's sheet and the map from views of a board in several poses.
+
+    A view, or its line, that disagrees with the others is left out, with the reason.
+
+    Parameters
+    ----------
+    views : sequence of CalibrationView, px and mm, three usable ones or more
+    optics : OpticsSection, what is known of the camera beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+    k3 : tuple of float, third radial coefficient and its standard uncertainty; held at 0 by default
+
+    Raises
+    ------
+    InputError
+        For what is known of the camera out of its range.
+    UnsolvedViews
+        Where fewer than three views are usable, where their poses do not determine the focal
+        length, where too few of the lines agree on one plane, or where they do not determine it.
+
+    References
+    ----------
+    Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000).
+    """
+    # Of focal length and centre nothing is assumed: several poses determine them.
+    priors = priors_of(optics, image_size, k3, assume_webcam=False)
+    used = fit_views(views, optics, priors, image_size)
+    fitted = fitted_views(views, used)
+    lines = {
+        board: line
+        for board, number in enumerate(used.numbers)
+        if (line := views[number].line) is not None
+    }
+    try:
+        plane = find_plane(used.fit, priors.free, lines)
+    except MeasurementError as error:
+        faults = error.faults if isinstance(error, NoLaserPlane) else {}
+        for board, fault in faults.items():
+            number = used.numbers[board]
+            fitted[number] = _with_reason(fitted[number], fault)
+        raise UnsolvedViews(str(error), fitted) from error
+    for board in lines:
+        number = used.numbers[board]
+        fitted[number] = _with_line(fitted[number], board, plane)
+    plane_map = _map_of(used, lines, plane, optics, image_size)
+    solved = _solved(used, fitted, optics, image_size, k3)
+    return MetricCalibration(plane_map=plane_map, **solved)
+
+
+def _solved(
+    used: UsedViews,
+    views: Sequence[FittedView],
+    optics: OpticsSection,
+    image_size: tuple[int, int],
+    k3: Known,
+) -> dict[str, Any]:
+    """The fields of a SolvedViews."""
+    return {
+        "views": tuple(views),
+        "optics": optics,
+        "k3": k3,
+        "image_size": image_size,
+        "sigma": np.linalg.norm(used.fit.root[:COUNT], axis=1),
+        "software": f"lscan {__version__}",
+    }
+
+
+def _map_of(
+    used: UsedViews,
+    lines: dict[int, LinePoints],
+    plane: LaserPlane,
+    optics: OpticsSection,
+    image_size: tuple[int, int],
+) -> Metric:
+    """The map, which holds about the marks and the line points that were used."""
+    marks = used.fit.marks.image_px[used.fit.good]
+    on_lines = [line.image_px[plane.good[board]] for board, line in lines.items()]
+    middle = (np.array(image_size, dtype=float) - 1) / 2
+    view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
+    view = replace(view, origin_px=_origin_px(view, np.vstack(on_lines)))
+    solved = metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines])))
+    return solved.model_copy(update={"stated_water": stated_water(optics)})
+
+
+def _origin_px(view: SheetView, lines_px: Floats) -> Floats:
+    """(2,) px that sees the origin: the picture's middle, or where that is no use, of the lines.
+
+    Where the sheet is seen almost edge on, the ray of the picture's middle meets it far behind all
+    boards, or nowhere, and the whole frame would be as uncertain as that place.
+    """
+    depth = view.meet(lines_px)[:, 2]
+    middle = view.meet(view.origin_px[None])[0, 2]
+    if depth.min() / FARTHER <= middle <= depth.max() * FARTHER:
+        return view.origin_px
+    return np.asarray(lines_px.mean(axis=0))
+
+
+def _with_line(view: FittedView, board: int, plane: LaserPlane) -> FittedView:
+    """The view with what became of its line."""
+    good, far = plane.good[board], plane.distances_mm[board]
+    shown = far[good] if good.any() else far[np.isfinite(far)]
+    fault = plane.faults.get(board, "")
+    fitted = replace(
+        view,
+        line_used=not fault,
+        line_points_used=int(good.sum()),
+        line_rms_mm=float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan,
+    )
+    return _with_reason(fitted, fault)
+
+
+def _with_reason(view: FittedView, fault: str) -> FittedView:
+    """The view with another fault beside those it has."""
+    return replace(view, reason="; ".join(filter(None, (view.reason, fault))))
+
+
+def _pooled(parts: list[tuple[float, int]]) -> float:
+    """Root mean square of parts of a root mean square and a count each."""
+    rms, count = np.array(parts).T
+    return float(np.sqrt((rms**2 * count).sum() / count.sum()))

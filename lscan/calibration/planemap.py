@@ -1,0 +1,1005 @@
+"""What a plane map is, and how one is found by name.
+
+A solver is registered under the entry-point group ``lscan.planemaps``.  A map's full name is
+the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is solved by
+``graticule`` with the variant ``2-norulers``, ``projective`` by ``projective`` with "".
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    PrivateAttr,
+    TypeAdapter,
+    WrapValidator,
+)
+from scipy.spatial import ConvexHull, QhullError
+
+from lscan.camera.optics import require_columns, stated_water
+from lscan.camera.posedboards import LIMITS
+from lscan.camera.resection import BoardMarks
+from lscan.config.documents import Strict, check
+from lscan.config.plugins import find_plugin
+from lscan.config.rig import OpticsSection
+from lscan.errors import BoardNotFound, InputError, MeasurementError
+from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints, Status
+
+NOTHING_KNOWN = OpticsSection()
+
+
+@runtime_checkable
+class PlaneMap(Protocol):
+    """A solved map from the picture to the laser sheet.
+
+    Examples
+    --------
+    >>> import lscan, numpy as np
+    >>> plane_map = lscan.load_calibration("calibration.json").plane_map
+    >>> points = plane_map.to_plane(np.array([[320.0, 240.0]]), sigma_px=np.array([0.1]))
+    >>> points.xz_mm.shape, points.status.tolist()
+    ((1, 2), [0])
+    """
+
+    @property
+    def name(self) -> str:
+        """Full name, solver and variant."""
+        ...
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm in the plane frame, of pixels; vectorised over N.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        sigma_px : (N,) array, optional, px, standard uncertainty of each pixel coordinate; 0 by
+            default
+
+        Returns
+        -------
+        PlanePoints
+            Its uncertainty combines that of the pixels with that of the map.  A pixel that is NaN
+            has no value and the status NO_DATA (only the caller knows why it is NaN); one outside
+            the covered region (region.py) has the status OUT_OF_BOARD and no number.
+
+        Raises
+        ------
+        InputError
+            For arrays of wrong shape, and for a sigma_px that is negative or NaN beside a pixel
+            that is neither.
+        """
+        ...
+
+    def parameters(self) -> dict[str, Any]:
+        """What the map is made of, in plain JSON types; ``restore`` takes it back."""
+        ...
+
+
+class PlaneMapSolver(Protocol):
+    """Solves plane maps of one family.
+
+    One with a method ``check_variant(variant)``, which raises the InputError of ``solve`` for an
+    unknown variant without data, has a rig file that asks for it refused before the scan.
+
+    One whose search is long may have a method ``near(solved)``: the solver that begins it at a map
+    of almost the same marks.  Cross-validation then begins each solution at that from all marks.
+    """
+
+    def solve(self, reading: BoardReading, variant: str, optics: OpticsSection) -> PlaneMap:
+        """The map fitted to the marks that were found.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, second part of the map's name, "" where there is none
+        optics : OpticsSection, what is known of the camera beforehand; a solver may do without
+
+        Raises
+        ------
+        InputError
+            For an unknown variant.
+        BoardNotFound
+            For too few marks.
+        """
+        ...
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> PlaneMap:
+        """The map that parameters came from.
+
+        Parameters
+        ----------
+        variant : str, second part of the map's name, "" where there is none
+        parameters : dict, as ``PlaneMap.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class NamedSolver:
+    """A solver together with the full name it was asked for.
+
+    Attributes
+    ----------
+    name : str, full name of the map, family and variant
+    solver : PlaneMapSolver, of the family
+    variant : str, second part of the name, "" where there is none
+    """
+
+    name: str
+    solver: PlaneMapSolver
+    variant: str
+
+    @property
+    def searches(self) -> bool:
+        """Whether the solver can begin its search at another map."""
+        return hasattr(self.solver, "near")
+
+    def near(self, solved: PlaneMap) -> "NamedSolver":
+        """The solver of this name that begins its search at a map of almost the same marks.
+
+        Parameters
+        ----------
+        solved : PlaneMap, of this name
+
+        Raises
+        ------
+        AttributeError
+            Where it cannot (``searches``).
+        """
+        return replace(self, solver=self.solver.near(solved))  # type: ignore[attr-defined]
+
+    def solve(self, reading: BoardReading, optics: OpticsSection | None = None) -> PlaneMap:
+        """The map of this name fitted to a reading.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        optics : OpticsSection, optional, what is known of the camera beforehand; by default what an
+            empty section says
+
+        Raises
+        ------
+        InputError
+            For an unknown variant.
+        BoardNotFound
+            For too few marks.
+        """
+        return self.solver.solve(reading, self.variant, optics or NOTHING_KNOWN)
+
+    def bare(self, reading: BoardReading, optics: OpticsSection | None = None) -> PlaneMap:
+        """The map of this name, its uncertainty left out where that saves time.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        optics : OpticsSection, optional, as ``solve``
+
+        Raises
+        ------
+        InputError, BoardNotFound
+            As ``solve``.
+        """
+        quick = getattr(self.solver, "bare", self.solver.solve)
+        solved: PlaneMap = quick(reading, self.variant, optics or NOTHING_KNOWN)
+        return solved
+
+    def restore(self, parameters: dict[str, Any]) -> PlaneMap:
+        """The map of this name that parameters came from.
+
+        Parameters
+        ----------
+        parameters : dict, as ``PlaneMap.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
+        return self.solver.restore(self.variant, parameters)
+
+
+def find_solver(name: str) -> NamedSolver:
+    """The solver for a full map name.
+
+    Parameters
+    ----------
+    name : str, family and, after a hyphen, variant
+
+    Raises
+    ------
+    InputError
+        For an unknown family; it lists those there are.
+
+    Examples
+    --------
+    >>> find_solver("graticule-2-norulers").variant
+    '2-norulers'
+    """
+    family, _, variant = name.partition("-")
+    return NamedSolver(name, find_plugin("lscan.planemaps", family, where="plane map"), variant)
+
+
+# Arrays and numbers as a calibration file holds them: lists of finite JSON numbers.
+#
+# The dataclasses that maps are made of use these types for their fields, so that one
+# declaration serves the program and the strict reading of its files.
+
+
+STRICT = ConfigDict(extra="forbid")
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
+Count = Annotated[int, Field(strict=True, ge=0)]
+
+
+_LISTS_OF: dict[int, tuple[TypeAdapter[Any], str]] = {
+    1: (TypeAdapter(list[Number]), "a list of finite numbers"),
+    2: (TypeAdapter(list[list[Number]]), "rows of finite numbers, all of one length"),
+}
+_LISTS_WITH_GAPS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
+
+
+def _read(lists: TypeAdapter[Any], value: Any, allowed: str) -> Floats:
+    """An array of what JSON holds; ValueError where it is not as allowed, or rows differ."""
+    try:
+        return np.array(lists.validate_python(value), dtype=float)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"must be {allowed}") from error
+
+
+def _numbers(value: Any, dimensions: int) -> Floats:
+    lists, allowed = _LISTS_OF[dimensions]
+    array = value if isinstance(value, np.ndarray) else _read(lists, value, allowed)
+    if array.ndim != dimensions or not np.isfinite(array).all():
+        raise ValueError(f"must be {allowed}")
+    return array
+
+
+def of_length(count: int) -> AfterValidator:
+    """The rule for a field that its array holds so many numbers, or rows.
+
+    Parameters
+    ----------
+    count : int, how many
+    """
+
+    def check(array: Floats) -> Floats:
+        if len(array) != count:
+            raise ValueError(f"must be of length {count}, not {len(array)}")
+        return array
+
+    return AfterValidator(check)
+
+
+def none_negative(array: Floats) -> Floats:
+    """The array, which must hold no number below 0.
+
+    Parameters
+    ----------
+    array : (...) array, NaN for a gap
+
+    Raises
+    ------
+    ValueError
+        Where it does.
+    """
+    if (array < 0).any():
+        raise ValueError("must hold no number below 0")
+    return array
+
+
+def _with_gaps(value: Any) -> Floats:
+    """Like the others, but ``null`` stands for NaN."""
+    if isinstance(value, np.ndarray):
+        return value
+    return _read(_LISTS_WITH_GAPS, value, "finite numbers or nulls, all rows of one length")
+
+
+def _nan_for_none(value: Any, read: Callable[[Any], float]) -> float:
+    return np.nan if value is None or value != value else read(value)
+
+
+def _none_for_nan(value: float) -> float | None:
+    return None if np.isnan(value) else value
+
+
+def _plain_with_gaps(array: Floats) -> list[Any]:
+    plain = array.astype(object)
+    plain[np.isnan(array)] = None
+    return plain.tolist()
+
+
+_LISTS = PlainSerializer(np.ndarray.tolist)
+Vector = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=1)), _LISTS]
+Matrix = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=2)), _LISTS]
+Place = Annotated[Vector, of_length(2)]
+Pair = Annotated[Place, AfterValidator(none_negative)]
+NotNegativeOrNaN = Annotated[
+    NotNegative, WrapValidator(_nan_for_none), PlainSerializer(_none_for_nan)
+]
+"""``null`` in the file for NaN."""
+Gaps = Annotated[Floats, PlainValidator(_with_gaps), PlainSerializer(_plain_with_gaps)]
+Sigmas = Annotated[Gaps, AfterValidator(none_negative)]
+
+
+def check_covariance(covariance: Floats, count: int) -> None:
+    """Refuse what is no covariance.
+
+    Parameters
+    ----------
+    covariance : array, to be symmetric, without a negative variance
+    count : int, number of rows and of columns it must have
+
+    Raises
+    ------
+    ValueError
+        Says what is wrong with it.
+    """
+    if covariance.shape != (count, count):
+        raise ValueError(f"covariance must be {count} by {count}, got {covariance.shape}")
+    scale = np.abs(covariance).max(initial=0.0)
+    if np.abs(covariance - covariance.T).max(initial=0.0) > 1e-9 * scale:
+        raise ValueError("covariance must be symmetric")
+    if covariance.diagonal().min(initial=0.0) < 0:
+        raise ValueError("covariance must have no negative variance")
+
+
+def check_theta(theta: dict[str, float], names: Sequence[str]) -> dict[str, float]:
+    """The parameters of a camera, which must have the right names and ranges.
+
+    Parameters
+    ----------
+    theta : dict of float, by name
+    names : sequence of str, those it must have, in order
+
+    Raises
+    ------
+    ValueError
+        Where a name differs, or a value lies outside the camera's LIMITS.
+    """
+    if tuple(theta) != tuple(names):
+        raise ValueError(f"theta must hold {', '.join(names)}")
+    for name, (low, high) in LIMITS.items():
+        if not low <= theta[name] <= high:
+            raise ValueError(f"theta.{name} must be {low:g} to {high:g}")
+    return theta
+
+
+# The covered part of the picture: where a plane map may be used.
+#
+# One rule for all maps: a pixel is covered where it lies in the convex hull of the control
+# points that the map rests on, or outside it by no more than a twentieth of the spacing of
+# neighbouring control points.  On the paper's board that margin is 2.5 mm, a dot's radius.
+# Elsewhere a map gives OUT_OF_BOARD and no number: it never extrapolates.
+
+
+MARGIN = 0.05  # of the spacing of neighbouring control points
+
+
+@dataclass(frozen=True)
+class Region:
+    """A convex polygon in the picture, grown by a margin.
+
+    Attributes
+    ----------
+    outline_px : (K, 2) array, px, corners (u, v), each edge's inside on its left in a frame with u
+        to the right and v up
+    margin_px : float, px, how far outside an edge still counts as inside; below 0, how far within
+        it a pixel must lie
+    """
+
+    __pydantic_config__ = STRICT
+    outline_px: Matrix
+    margin_px: NotNegative
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless the outline is a convex polygon turning left."""
+        if self.outline_px.ndim != 2 or self.outline_px.shape[1] != 2 or len(self.outline_px) < 3:
+            raise ValueError("outline_px must be at least three corners (u, v)")
+        edge = np.roll(self.outline_px, -1, axis=0) - self.outline_px
+        after = np.roll(edge, -1, axis=0)
+        if np.any(edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0] <= 0):
+            raise ValueError("outline_px must be a convex polygon")
+
+    @cached_property
+    def _outward(self) -> Floats:
+        edge = np.roll(self.outline_px, -1, axis=0) - self.outline_px
+        normal = np.column_stack([edge[:, 1], -edge[:, 0]])
+        return normal / np.linalg.norm(normal, axis=1)[:, None]
+
+    @property
+    def bounds_px(self) -> tuple[Floats, Floats]:
+        """(2,) px, the least and the greatest (u, v) in the region."""
+        return (
+            self.outline_px.min(axis=0) - self.margin_px,
+            self.outline_px.max(axis=0) + self.margin_px,
+        )
+
+    def covers(self, image_px: Floats) -> Mask:
+        """(N,) mask of the pixels that lie in the region.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v), finite
+        """
+        outwards = np.full(len(image_px), -np.inf)
+        u, v = image_px.T
+        for (by_u, by_v), (at_u, at_v) in zip(self._outward, self.outline_px, strict=True):
+            np.maximum(outwards, by_u * (u - at_u) + by_v * (v - at_v), out=outwards)
+        return outwards <= self.margin_px
+
+
+def covered_region(reading: BoardReading, used: Mask) -> Region:
+    """The region covered by the control points that a map rests on.
+
+    Parameters
+    ----------
+    reading : BoardReading, px, of N control points
+    used : (N,) mask, over ``reading.grid``
+
+    Raises
+    ------
+    BoardNotFound
+        Where they do not span an area or where no two are neighbours.
+    """
+    points = reading.grid.image_px[used]
+    try:
+        return region_around(points, MARGIN * spacing_px(reading))
+    except MeasurementError as error:
+        raise BoardNotFound(f"{len(points)} control points found: they span no area") from error
+
+
+def region_around(image_px: Floats, margin_px: float = 0.0) -> Region:
+    """The convex hull of pixels.
+
+    Parameters
+    ----------
+    image_px : (N, 2) array, px, of (u, v)
+    margin_px : float, px, grown by; below 0: made smaller by
+
+    Raises
+    ------
+    MeasurementError
+        Where they span no area.
+    """
+    try:
+        hull = ConvexHull(image_px)
+    except (QhullError, ValueError) as error:
+        raise MeasurementError("the marks and the line span no area of the picture") from error
+    return Region(image_px[hull.vertices], margin_px)
+
+
+def spacing_px(reading: BoardReading) -> float:
+    """Median distance in px of neighbouring control points that were found.
+
+    Parameters
+    ----------
+    reading : BoardReading, px
+
+    Raises
+    ------
+    BoardNotFound
+        Where no two neighbours were found.
+    """
+    lattice = reading.grid.image_px.reshape(*reading.shape, 2)
+    steps = [np.diff(lattice, axis=axis).reshape(-1, 2) for axis in (0, 1)]
+    distances = np.linalg.norm(np.vstack(steps), axis=1)
+    known = distances[np.isfinite(distances)]
+    if not len(known):
+        raise BoardNotFound("no two neighbouring control points were found")
+    return float(np.median(known))
+
+
+# The marks of a board reading, control points and rulers together.
+
+
+LEAST_SIGMA_PX = 0.002  # a quarter of what is reached in an 8-bit picture; ours
+
+
+def all_marks(reading: BoardReading) -> list[Marks]:
+    """The control points, then the marks of each ruler.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm
+    """
+    return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
+
+
+def joined_marks(reading: BoardReading) -> Marks:
+    """``all_marks`` as one, N of them.
+
+    Parameters
+    ----------
+    reading : BoardReading, px and mm
+    """
+    columns = zip(*(vars(marks).values() for marks in all_marks(reading)), strict=True)
+    return Marks(*map(np.concatenate, columns))
+
+
+def with_marks(reading: BoardReading, marks: Marks) -> BoardReading:
+    """The reading with other marks on its board.
+
+    Parameters
+    ----------
+    reading : BoardReading
+    marks : Marks, N of them, in the order of ``joined_marks``
+    """
+    ends = np.cumsum([len(own.status) for own in all_marks(reading)])[:-1]
+    grid, *on_rulers = map(Marks, *(np.split(column, ends) for column in vars(marks).values()))
+    pairs = zip(reading.rulers, on_rulers, strict=True)
+    rulers = tuple(replace(ruler, marks=own) for ruler, own in pairs)
+    return replace(reading, grid=grid, rulers=rulers)
+
+
+def found_marks(several: Sequence[Marks]) -> tuple[Floats, Floats, Floats]:
+    """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order.
+
+    Parameters
+    ----------
+    several : sequence of Marks, mm and px
+    """
+    return (
+        np.vstack([marks.board_mm[marks.found] for marks in several]),
+        np.vstack([marks.image_px[marks.found] for marks in several]),
+        np.concatenate([marks.sigma_px[marks.found] for marks in several]),
+    )
+
+
+def found_on(several: Sequence[Marks], board: Sequence[int]) -> BoardMarks:
+    """The marks that were found in several readings, each of the board of that number.
+
+    Parameters
+    ----------
+    several : sequence of Marks, one a reading; sigma_px below LEAST_SIGMA_PX counts as that
+    board : sequence of int, number of each reading's board
+    """
+    board_mm, image_px, sigma_px = found_marks(several)
+    numbers = np.repeat(board, [int(marks.found.sum()) for marks in several])
+    return BoardMarks(board_mm, image_px, np.maximum(sigma_px, LEAST_SIGMA_PX), numbers)
+
+
+def without(reading: BoardReading, left_out: Mask) -> BoardReading:
+    """The reading as if some of its marks were not found.
+
+    Parameters
+    ----------
+    reading : BoardReading, of N marks
+    left_out : (N,) mask, in the order of ``all_marks``
+    """
+    return with_marks(reading, _hidden(joined_marks(reading), left_out))
+
+
+def _hidden(marks: Marks, hide: Mask) -> Marks:
+    hide = hide & marks.found
+    return replace(
+        marks,
+        image_px=np.where(hide[:, None], np.nan, marks.image_px),
+        sigma_px=np.where(hide, np.nan, marks.sigma_px),
+        status=np.where(hide, int(Status.NOT_FOUND), marks.status),
+    )
+
+
+# The estimate that a plane map gives for pixels, and how its uncertainty is put together.
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The points of N pixels; NaN where there is no value.
+
+    Attributes
+    ----------
+    xz_mm : (N, 2) array, mm, plane frame
+    variance_mm2 : (N, 2) array, mm², all noise, the pixel's and the calibration's
+    modes_mm : (N, 2, M) array or None, mm, a square root of the calibration's part, as in
+        PlanePoints; None where the map keeps no account of what its points have in common
+    """
+
+    xz_mm: Floats
+    variance_mm2: Floats
+    modes_mm: Floats | None = None
+
+
+def propagated(xz_mm: Floats, jacobian: Floats, modes_mm: Floats, variance_px2: Floats) -> Estimate:
+    """The estimate of a map whose parameters give its modes; NaN where the variance is.
+
+    Parameters
+    ----------
+    xz_mm : (N, 2) array, mm, plane frame
+    jacobian : (N, 2, 2) array, mm per px, the last axis by u and by v
+    modes_mm : (N, 2, M) array, mm
+    variance_px2 : (N,) array, px², of the pixels
+    """
+    variance = variance_px2[:, None] * (jacobian**2).sum(axis=2) + (modes_mm**2).sum(axis=2)
+    return Estimate(np.where(np.isfinite(variance), xz_mm, np.nan), variance, modes_mm)
+
+
+def square_root(covariance: Floats) -> Floats:
+    """(K, K) L with L @ L.T the covariance, which may be singular.
+
+    From the eigenvalues, with those that rounding took below 0 set to 0.
+
+    Parameters
+    ----------
+    covariance : (K, K) array, symmetric
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def separate_modes(of_x: Floats, of_z: Floats) -> Floats:
+    """(N, 2, P + Q) modes of maps whose x and z have no parameter in common, mm.
+
+    Parameters
+    ----------
+    of_x : (N, P) array, mm, of x alone
+    of_z : (N, Q) array, mm, of z alone
+    """
+    modes = np.zeros((len(of_x), 2, of_x.shape[1] + of_z.shape[1]))
+    modes[:, 0, : of_x.shape[1]] = of_x
+    modes[:, 1, of_x.shape[1] :] = of_z
+    return modes
+
+
+# A change of scale and of origin made to the points that a plane map gives.
+
+
+MOST_SCALE = 0.5  # more is a picture of another board, not a rig that has changed
+
+
+class SheetCorrection(Strict):
+    """What a later picture of the board showed to be wrong with a map's points, and is taken off.
+
+    Attributes
+    ----------
+    middle_mm : (2,) array, mm, (x, z), about which lengths are scaled
+    scale, scale_sigma : float, lengths as they were mapped over true lengths, less 1; at most
+        MOST_SCALE either way
+    shift_mm, shift_sigma_mm : (2,) array, mm, of the middle as it was mapped from where it is
+    """
+
+    middle_mm: Place
+    scale: Annotated[float, Field(ge=-MOST_SCALE, le=MOST_SCALE)] = 0.0
+    scale_sigma: NotNegative = 0.0
+    shift_mm: Place = np.zeros(2)
+    shift_sigma_mm: Pair = np.zeros(2)
+
+    def apply(self, estimate: Estimate) -> Estimate:
+        """The estimate without those errors; the uncertainty of the correction is added.
+
+        Parameters
+        ----------
+        estimate : Estimate, mm, of N pixels
+        """
+        factor = 1 / (1 + self.scale)
+        arm = factor * (estimate.xz_mm - self.middle_mm - self.shift_mm)
+        own = np.zeros((len(arm), 2, 3))
+        own[:, :, 0] = -factor * self.scale_sigma * arm
+        own[:, [0, 1], [1, 2]] = factor * self.shift_sigma_mm
+        variance = factor**2 * estimate.variance_mm2 + (own**2).sum(axis=2)
+        modes = estimate.modes_mm
+        if modes is not None:
+            modes = np.concatenate([factor * modes, own], axis=2)
+        return Estimate(self.middle_mm + arm, variance, modes)
+
+
+# What the plane maps of this package share: a record that is its file, and a solver's frame.
+
+
+class SolvedMap(Strict, ABC):
+    """Base of the plane maps: the fields are what a calibration file holds of one.
+
+    Attributes
+    ----------
+    region : Region, px, where the map holds
+    lack_of_fit_mm : (2,) array, mm, standard uncertainty of x and z that noise does not account for
+    stated_water : tuple of float or None, the water's index and its standard uncertainty as they
+        were stated when the map was solved; None where they were not
+    corrections : tuple of SheetCorrection, made to the points one after the other
+    """
+
+    region: Region
+    lack_of_fit_mm: Pair
+    stated_water: tuple[Number, NotNegative] | None = None
+    corrections: tuple[SheetCorrection, ...] = ()
+    _name: str = PrivateAttr("")
+
+    @property
+    def name(self) -> str:
+        """Full name, family and variant."""
+        return self._name
+
+    @abstractmethod
+    def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """The points of pixels that the region covers.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
+
+    def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
+        """Points in the sheet, (N, 2) mm in the plane frame, of pixels, as api.PlaneMap promises.
+
+        sigma_mm combines the pixel's uncertainty, that of the map's parameters, and the map's
+        mean lack of fit.  A NaN pixel has the status NO_DATA.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        sigma_px : (N,) array, optional, px, standard uncertainty of u and of v; 0 by default
+
+        Raises
+        ------
+        InputError
+            Where an array has the wrong shape, or sigma_px is negative or NaN beside a pixel that
+            is neither.
+        """
+        image_px = require_columns(image_px, "image_px", 2)
+        sigma = _checked_sigma(image_px, sigma_px)
+        finite = np.isfinite(image_px).all(axis=1)
+        covered = np.zeros(len(image_px), dtype=bool)
+        covered[finite] = self.region.covers(image_px[finite])
+        xz, variance = np.full((2, len(image_px), 2), np.nan)
+        estimate = self.estimate(image_px[covered], sigma[covered] ** 2)
+        for correction in self.corrections:
+            estimate = correction.apply(estimate)
+        xz[covered] = estimate.xz_mm
+        variance[covered] = estimate.variance_mm2 + self.lack_of_fit_mm**2
+        valued = np.isfinite(xz).all(axis=1)
+        missing = np.isnan(image_px).any(axis=1)
+        status = np.where(valued, Status.OK, np.where(missing, Status.NO_DATA, Status.OUT_OF_BOARD))
+        xz[~valued], variance[~valued] = np.nan, np.nan
+        modes = _modes(estimate, covered, valued)
+        return PlanePoints(xz, np.sqrt(variance), status.astype(np.int64), modes)
+
+    def locate(self, image_px: Floats) -> Floats:
+        """(N, 2) mm, the points of ``to_plane`` without their uncertainties, in less time.
+
+        NaN where the region does not cover a pixel, and where it is NaN.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
+        if self.corrections:
+            return self.to_plane(image_px).xz_mm
+        covered = np.flatnonzero(np.isfinite(image_px).all(axis=1))
+        covered = covered[self.region.covers(image_px[covered])]
+        xz = np.full((len(image_px), 2), np.nan)
+        xz[covered] = self.points(image_px[covered])
+        return xz
+
+    def points(self, image_px: Floats) -> Floats:
+        """World points (N, 2) mm, x and z, of pixels that the region covers, without their sigma.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, u and v in px
+        """
+        return self.estimate(image_px, np.zeros(len(image_px))).xz_mm
+
+    def parameters(self) -> dict[str, Any]:
+        """The fields as JSON types."""
+        dumped: dict[str, Any] = self.model_dump(mode="json")
+        return dumped
+
+
+Solved = TypeVar("Solved", bound=SolvedMap)
+
+
+class MapSolver(ABC, Generic[Solved]):
+    """Base of the solvers of one family of maps.
+
+    Attributes
+    ----------
+    family : str, first part of a map's name
+    model : type, of the map
+    what : str, the family in words, for messages
+    variants : tuple of str, second parts there are
+    """
+
+    family: ClassVar[str]
+    model: type[Solved]
+    what: ClassVar[str]
+    variants: ClassVar[tuple[str, ...]] = ("",)
+
+    def check_variant(self, variant: str) -> None:
+        """Refuse a variant that there is not; nothing is solved.
+
+        Parameters
+        ----------
+        variant : str, second part of the map's name, "" where there is none
+
+        Raises
+        ------
+        InputError
+            For a variant that there is not.
+        """
+        if variant not in self.variants:
+            raise InputError(
+                f"no such {self.what}",
+                where="plane map",
+                value=full_name(self.family, variant),
+                allowed=", ".join(full_name(self.family, there) for there in self.variants),
+            )
+
+    def solve(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Solved:
+        """The map fitted to the marks that were found.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, second part of the map's name, "" where there is none
+        optics : OpticsSection, what is known of the camera beforehand
+
+        Raises
+        ------
+        InputError
+            For an unknown variant.
+        BoardNotFound
+            Where the marks found do not determine the map.
+        """
+        self.check_variant(variant)
+        return self._finished(self.fit(reading, variant, optics), variant, optics)
+
+    def bare(
+        self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
+    ) -> Solved:
+        """As ``solve``, but for the map's uncertainty, which may be missing: in less time.
+
+        For those who solve thousands of maps and look at the points alone (``locate``).
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, second part of the map's name, "" where there is none
+        optics : OpticsSection, what is known of the camera beforehand
+
+        Raises
+        ------
+        InputError, BoardNotFound
+            As ``solve``.
+        """
+        self.check_variant(variant)
+        return self._finished(self.fit_points(reading, variant, optics), variant, optics)
+
+    def fit_points(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
+        """As ``fit``; a family whose uncertainty takes time of its own leaves it out.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, one of ``variants``
+        optics : OpticsSection, what is known of the camera beforehand
+        """
+        return self.fit(reading, variant, optics)
+
+    @abstractmethod
+    def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
+        """As ``solve``, of a variant that there is.
+
+        Parameters
+        ----------
+        reading : BoardReading, px and mm, the marks of one picture
+        variant : str, one of ``variants``
+        optics : OpticsSection, what is known of the camera beforehand
+        """
+
+    def restore(self, variant: str, parameters: dict[str, Any]) -> Solved:
+        """The map that parameters came from.
+
+        Parameters
+        ----------
+        variant : str, second part of the map's name, "" where there is none
+        parameters : dict, as ``SolvedMap.parameters`` gave them
+
+        Raises
+        ------
+        InputError
+            Where they do not fit.
+        """
+        MapSolver.check_variant(self, variant)  # a metric map can be restored, though not solved
+        read = check(self.model, parameters, where=None, prefix="parameters")
+        return self._named(read, variant)
+
+    def _finished(self, solved: Solved, variant: str, optics: OpticsSection) -> Solved:
+        water = stated_water(optics)
+        return self._named(solved.model_copy(update={"stated_water": water}), variant)
+
+    def _named(self, solved: Solved, variant: str) -> Solved:
+        solved._name = full_name(self.family, variant)
+        return solved
+
+
+def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:
+    """The map with what its form, not noise, adds to the uncertainty of x and of z, in mm rms.
+
+    The map is applied to the marks of the board; the mean square of the residuals less the
+    mean square that the marks' and the map's noise explain, never below 0.  The control
+    points check both coordinates.  A ruler checks the one that is fixed on it, which no map
+    reads from it: the marks of the vertical rulers, half-way between control points, check
+    x.  Without rulers only the fit to the control points themselves can be judged, and what
+    happens between them stays unseen.
+
+    Parameters
+    ----------
+    solved : SolvedMap, of any family
+    reading : BoardReading, px and mm, the map was solved from
+    """
+    excess_mm = np.array([_excess_mm(solved, reading, coordinate) for coordinate in (0, 1)])
+    return solved.model_copy(update={"lack_of_fit_mm": excess_mm})
+
+
+def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
+    """(N, 2, M) the modes of the covered pixels among all, NaN where there is no value."""
+    if estimate.modes_mm is None:
+        return None
+    modes = np.full((len(covered), *estimate.modes_mm.shape[1:]), np.nan)
+    modes[covered] = estimate.modes_mm
+    modes[~valued] = np.nan
+    return modes
+
+
+def _checked_sigma(image_px: Floats, sigma_px: Floats | None) -> Floats:
+    if sigma_px is None:
+        return np.zeros(len(image_px))
+    sigma = np.asarray(sigma_px, dtype=float)
+    if sigma.shape != image_px.shape[:1]:
+        raise InputError(
+            "bad shape", where="sigma_px", value=sigma.shape, allowed=f"({len(image_px)},)"
+        )
+    bad = np.isfinite(image_px).all(axis=1) & ~((sigma >= 0) & np.isfinite(sigma))
+    if bad.any():
+        first = int(np.flatnonzero(bad)[0])
+        raise InputError(
+            "bad uncertainty",
+            where=f"sigma_px[{first}]",
+            value=float(sigma[first]),
+            allowed="a finite number not below 0",
+        )
+    return sigma
+
+
+def _excess_mm(solved: SolvedMap, reading: BoardReading, coordinate: int) -> float:
+    direction = ("vertical", "horizontal")[coordinate]
+    rulers = [ruler.marks for ruler in reading.rulers if ruler.direction == direction]
+    known, image, sigma = found_marks([reading.grid, *rulers])
+    covered = solved.region.covers(image)
+    estimate = solved.estimate(image[covered], sigma[covered] ** 2)
+    residual = estimate.xz_mm[:, coordinate] - known[covered, coordinate]
+    valued = np.isfinite(residual)
+    if not valued.any():
+        return 0.0
+    explained = estimate.variance_mm2[valued, coordinate]
+    return float(np.sqrt(max(0.0, np.mean(residual[valued] ** 2) - np.mean(explained))))
+
+
+def full_name(family: str, variant: str) -> str:
+    """The full name of a map.
+
+    Parameters
+    ----------
+    family, variant : str, its two parts; the second may be ""
+
+    Examples
+    --------
+    >>> full_name("polynomial", "3"), full_name("projective", "")
+    ('polynomial-3', 'projective')
+    """
+    return f"{family}-{variant}" if variant else family
