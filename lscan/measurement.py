@@ -25,8 +25,7 @@ from lscan.measure import (
 from lscan.pipeline import mean_picture, read_profiles, reconstruct
 from lscan.records import BoardReading, Length, Progress, Status, Surface
 from lscan.surface import Alignment, Slice, resample
-from lscan.surface.shaft import shaft_of
-from lscan.surface.shaftfit import ShaftFit, calibrate_shaft
+from lscan.surface.shaft import ShaftFit, calibrate_shaft, shaft_of
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,9 @@ from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Bytes, Floats, Profile, Progress, Surface
 from lscan.stripe.extract import extract_stripes
 from lscan.surface import Alignment, align_sandwave, apply, stack
-from lscan.surface.align.keptalignment import KeptAlignment
-from lscan.surface.profile import to_profiles
-from lscan.surface.provenance import provenance_of
+from lscan.surface.align.alignment import KeptAlignment
 from lscan.surface.shaft import shaft_of, stack_about
+from lscan.surface.surface import provenance_of, to_profiles
 from lscan.surface.thickness import correct_thickness
 
 READ_AT_ONCE = 16

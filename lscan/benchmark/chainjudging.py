@@ -27,8 +27,7 @@ from lscan.pipeline import build_surface, correct, finish
 from lscan.records import Mask, Profile, Status
 from lscan.stripe.extract import extract_stripes
 from lscan.suites import ScanCase
-from lscan.surface.profile import to_profiles
-from lscan.surface.resample import Slice, sample
+from lscan.surface.surface import Slice, sample, to_profiles
 
 CHAINS = ("paper/rig", "best/groove")
 """That take part unless told otherwise: the paper's, and the best."""

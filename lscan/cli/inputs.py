@@ -26,7 +26,7 @@ from lscan.errors import InputError
 from lscan.files.pictures import display_turn, read_picture
 from lscan.pipeline import board_expected, mean_picture, require_board, require_size
 from lscan.records import BoardReading, Bytes, Floats, Mask, Status
-from lscan.surface.shaftfile import load_shaft
+from lscan.surface.shaft import load_shaft
 
 
 def open_calibrated(

@@ -1,4 +1,4 @@
-"""The command ``lscan calibrate-shaft``: a thin face over lscan.surface.shaftfit."""
+"""The command ``lscan calibrate-shaft``: a thin face over lscan.surface.shaft."""
 
 from pathlib import Path
 from typing import Annotated
@@ -27,8 +27,7 @@ def calibrate_shaft(
     """Find a rotary axis from the scan of a workpiece whose shape is known."""
     from lscan.cli.inputs import open_calibrated
     from lscan.measurement import find_shaft
-    from lscan.surface.shaft import section_of
-    from lscan.surface.shaftfile import save_shaft
+    from lscan.surface.shaft import save_shaft, section_of
 
     require_folders(output)
     opened, plane_map = open_calibrated(run, calibration, trusted=trust)

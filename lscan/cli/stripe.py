@@ -72,7 +72,7 @@ def extract(
     from lscan.files.pictures import write_picture
     from lscan.records import Status, has_value
     from lscan.stripe import draw_stripe, save_stripe
-    from lscan.surface.profile import to_profile
+    from lscan.surface.surface import to_profile
 
     require_folders(output, overlay)
     image, dark, rig = _pictures(picture, frame, background, trust)

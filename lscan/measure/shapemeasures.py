@@ -11,7 +11,7 @@ from lscan.errors import MeasurementError
 from lscan.measure.shapefit import MeasuredPoints, ShapeFit, fit_shape, measured_points
 from lscan.measure.shapes import CylinderShape, MeasuredShape, ParallelPlanes, SphereShape
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
-from lscan.surface.resample import sample
+from lscan.surface.surface import sample
 
 MOST_POINTS = 50_000
 """Of a shape; more are thinned out evenly: what they add is below what neighbours share."""

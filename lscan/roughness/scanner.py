@@ -11,7 +11,7 @@ from lscan.records import Floats, Surface, has_value
 from lscan.roughness.instrument import ScannerResponse
 from lscan.roughness.linereading import line_reading
 from lscan.roughness.patch import MM_PER_CM
-from lscan.surface.stack import require_head_frame
+from lscan.surface.surface import require_head_frame
 
 BLUR = re.compile(r"blur of (\S+) px")
 THICKNESS = re.compile(r"sheet thickness of \S+ mm")

@@ -4,7 +4,7 @@ The paper's open question (its Sec. V): the error follows the target's concavity
 short scan is rendered without noise, each line is found as the centroid of all its light,
 and its height is compared with the truth.  The plane map, the alignment and the sensor have
 no part in it, so what is left are the blur along the line (lscan.stripe.corrections), the
-sheet's thickness (lscan.surface.concavity) and what neither describes.
+sheet's thickness (lscan.surface.sheetresponse) and what neither describes.
 """
 
 from collections.abc import Sequence

@@ -18,7 +18,7 @@ from lscan.config.rig import RigFile
 from lscan.pipeline import READ_AT_ONCE, calibrate_run, reconstruct
 from lscan.records import Profile
 from lscan.stripe.extract import extract_stripes
-from lscan.surface.profile import to_profiles
+from lscan.surface.surface import to_profiles
 from sim.demo import thin_out
 from sim.validation.rows import Row, row
 

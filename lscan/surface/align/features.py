@@ -6,7 +6,9 @@ it settles on the rim, which shares the mean height of the waves; the wedges' to
 patches that stand a wedge's height above it, one on each side.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -14,7 +16,7 @@ from scipy import ndimage
 from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
-from lscan.surface.align.edges import EdgeCrossings
+from lscan.surface.align.edges import REACH_MM, EdgeCrossings, FaceSamples
 
 
 @dataclass(frozen=True)
@@ -276,3 +278,171 @@ def _crossings(
     inside = xyz[rows, columns]
     outside = inside + np.column_stack([gap, 0 * gap, slope * gap])
     return EdgeCrossings(inside, outside, rows * mask.shape[1] + columns)
+
+
+# The samples on the faces beside each edge of the sandwave block, clear of all other edges.
+
+
+CLEAR_MM = 3.0
+"""Samples this near to another edge are dimmed by it as well."""
+
+TIP_MM = 1.5
+"""Along y, samples this near to a wedge's tip are left out; its other edge is twice as far."""
+
+OFF_MM = 2.0
+"""How far off, at most, the block is taken to be before its edges are found by their fading."""
+
+FEWEST_SAMPLES = 40
+"""Fewest on a face: its level takes three coefficients, the edge, its wall and width as many."""
+
+
+def faces_beside(
+    names: Sequence[str], points: Floats, brightness: Floats, piece: Sandwave
+) -> list[tuple[Ints, FaceSamples]] | None:
+    """For each edge named, the index (K,) of its samples among all, and the samples.
+
+    None where a face has fewer than FEWEST_SAMPLES.  The wedges' near edges have a lower face, the
+    rim; behind the far ones it is hidden, for the camera looks along y.  Of what is beyond the
+    block's sides nothing is asked.
+
+    Parameters
+    ----------
+    names : sequence of str, of the edges, such as "left wedge, near edge"
+    points : (..., 3) array, mm, about in the workpiece frame
+    brightness : (...) array, DN
+    piece : Sandwave, the nominal shape
+    """
+    flat, light = points.reshape(-1, 3), brightness.ravel()
+    valid = np.isfinite(flat).all(axis=1) & (light > 0)
+    top = valid & near_level(flat[:, 2], piece.wedge.height_mm, piece)
+    rim = valid & near_level(flat[:, 2], 0.0, piece)
+    found = []
+    for name in names:
+        left, wedge, near = name.startswith("left"), "wedge" in name, "near" in name
+        # Mirrored, so that each edge is one of the left half: x from the side inwards.
+        inwards = flat[:, 0] + piece.rim_mm if left else piece.side_mm + piece.rim_mm - flat[:, 0]
+        plan = np.column_stack([inwards, flat[:, 1] - piece.side_mm / 2])
+        if wedge:
+            upper, lower, slope = _beside_wedge(plan, top, rim, near, piece)
+        else:
+            upper, lower, slope = _beside_side(plan, top | rim, piece), np.zeros_like(top), 0.0
+        if upper.sum() < FEWEST_SAMPLES or (near and lower.sum() < FEWEST_SAMPLES):
+            return None
+        index = np.asarray(np.flatnonzero(upper | lower), dtype=np.int64)
+        slope, side = slope if left else -slope, 1 if wedge == left else -1
+        samples = (flat[index, :2], light[index], lower[index])
+        found.append((index, FaceSamples(slope, side, 0 if wedge else 1, *samples)))
+    return found
+
+
+def _beside_wedge(
+    plan: Floats, top: Mask, rim: Mask, near: bool, piece: Sandwave
+) -> tuple[Mask, Mask, float]:
+    """Masks (K,) of the samples on top and on the rim beside an edge of the left wedge; dx/dy.
+
+    plan: (K, 2) mm, x from the block's side, y from its middle.
+    """
+    inwards, y = plan.T
+    slope = piece.wedge.reach_mm / (piece.wedge.base_mm / 2) * (1 if near else -1)
+    along = -y if near else y
+    depth = piece.wedge.reach_mm + slope * y - inwards
+    beside = (along > TIP_MM) & (along < piece.wedge.base_mm / 2) & (inwards > CLEAR_MM)
+    upper = top & beside & (depth > -OFF_MM) & (depth < REACH_MM + OFF_MM)
+    lower = rim & beside & (depth < OFF_MM) & (depth > -REACH_MM - OFF_MM)
+    lower &= inwards < piece.rim_mm - CLEAR_MM  # the waves begin there
+    return upper, lower if near else np.zeros_like(lower), slope
+
+
+def _beside_side(plan: Floats, top: Mask, piece: Sandwave) -> Mask:
+    """Mask (K,) of the samples on top beside the left side, clear of the wedge's edges."""
+    inwards, y = plan.T
+    reach = piece.side_mm / 2 + piece.rim_mm - CLEAR_MM
+    beside = (np.abs(y) < reach) & (np.abs(np.abs(y) - piece.wedge.base_mm / 2) > CLEAR_MM)
+    return np.asarray(top & beside & (inwards > -OFF_MM) & (inwards < REACH_MM + OFF_MM))
+
+
+# The sandwave block's nominal top: height and slope at a place in plan, clear of its steps.
+
+
+@dataclass(frozen=True)
+class NominalTop:
+    """The top of the block at N places in plan, workpiece frame.
+
+    Attributes
+    ----------
+    height_mm : (N,) array, mm
+    slope : (N, 2) array, of the height by x and by y
+    clear : (N,) mask, whether the place lies on the block and away from every step: from its sides,
+        the border of the waves and the edges of the wedges
+    """
+
+    height_mm: Floats
+    slope: Floats
+    clear: Mask
+
+    @cached_property
+    def normal(self) -> Floats:
+        """(N, 3) upward unit normals."""
+        upward = np.column_stack([-self.slope, np.ones(len(self.slope))])
+        return upward / np.linalg.norm(upward, axis=1, keepdims=True)
+
+
+def nominal_top(piece: Sandwave, plan_mm: Floats, margin_mm: float) -> NominalTop:
+    """The top at places in plan: eq. (4) on the waves, flat on rims and wedges.
+
+    Parameters
+    ----------
+    piece : Sandwave, the nominal shape
+    plan_mm : (N, 2) array, mm, (x, y), frame of the workpiece
+    margin_mm : float, mm; a place nearer than this to a step is not clear
+    """
+    x, y = plan_mm.T
+    far = piece.side_mm
+    inset = np.minimum(np.minimum(x, far - x), np.minimum(y, far - y))
+    waves = inset > 0
+    wedge = _into_wedge(piece, plan_mm)
+    height = np.where(waves, piece.height_mm(x, y), np.where(wedge > 0, piece.wedge.height_mm, 0.0))
+    slope = np.where(waves[:, None], piece.slopes(x, y), 0.0)
+    clear = (np.abs(inset) > margin_mm) & (np.abs(wedge) > margin_mm)
+    return NominalTop(height, slope, clear & (inset + piece.rim_mm > margin_mm))
+
+
+FOOT_ROUNDS = 2
+"""Of looking for the foot: 1 mm off a crest of curvature 0.2/mm, each leaves a fifth."""
+
+
+def above_top(piece: Sandwave, points_mm: Floats, margin_mm: float) -> tuple[Floats, NominalTop]:
+    """(N,) distance of points above the top along its normal, mm, and the top at its foot.
+
+    The foot and not the place beneath the point: noise along the normal would else decide on
+    the slope too, and what goes with the slope would be biased by it.
+
+    Parameters
+    ----------
+    piece : Sandwave, the nominal shape
+    points_mm : (N, 3) array, mm, frame of the workpiece
+    margin_mm : float, mm; a foot nearer than this to a step is not clear
+    """
+    plan = points_mm[:, :2]
+    for _ in range(FOOT_ROUNDS):
+        distance, top = _off_tangent(piece, points_mm, plan, margin_mm)
+        plan = points_mm[:, :2] - distance[:, None] * top.normal[:, :2]
+    return _off_tangent(piece, points_mm, plan, margin_mm)
+
+
+def _off_tangent(
+    piece: Sandwave, points_mm: Floats, plan_mm: Floats, margin_mm: float
+) -> tuple[Floats, NominalTop]:
+    """(N,) distance of points from the planes that touch the top at (N, 2) places, and the top."""
+    top = nominal_top(piece, plan_mm, margin_mm)
+    offset = points_mm - np.column_stack([plan_mm, top.height_mm])
+    return (offset * top.normal).sum(axis=1), top
+
+
+def _into_wedge(piece: Sandwave, plan_mm: Floats) -> Floats:
+    """(N,) distance in plan to the inner edges of the nearer wedge, mm; negative outside."""
+    x, y = plan_mm.T
+    half, reach = piece.wedge.base_mm / 2, piece.wedge.reach_mm
+    from_side = np.minimum(x + piece.rim_mm, piece.side_mm + piece.rim_mm - x)
+    short = 1 - from_side / reach - np.abs(y - piece.side_mm / 2) / half
+    return short / np.hypot(1 / reach, 1 / half)

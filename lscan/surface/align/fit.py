@@ -19,14 +19,20 @@ import numpy as np
 from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Surface
-from lscan.surface.align.alignment import Alignment, own_variances, turned_modes
-from lscan.surface.align.datum import YAW, Datum, parameter_modes
-from lscan.surface.align.edges import EdgeCrossings, EdgeFit, fit_edges
-from lscan.surface.align.faces import faces_beside
-from lscan.surface.align.fading import fit_fading
-from lscan.surface.align.features import Features, find_features
-from lscan.surface.align.levelling import level, plane_normal, shear
-from lscan.surface.stack import require_head_frame
+from lscan.surface.align.alignment import (
+    YAW,
+    Alignment,
+    Datum,
+    level,
+    own_variances,
+    parameter_modes,
+    plane_normal,
+    shear,
+    turned_modes,
+)
+from lscan.surface.align.edges import EdgeCrossings, EdgeFit, fit_edges, fit_fading
+from lscan.surface.align.features import Features, faces_beside, find_features
+from lscan.surface.surface import require_head_frame
 
 SETTLED_RAD = 1e-7
 """Change of yaw and of the rotation about z below which the iteration ends."""

@@ -14,7 +14,7 @@ from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Profile, Stripe
 from lscan.stripe import extract_stripe
-from lscan.surface.profile import to_profile
+from lscan.surface.surface import to_profile
 from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import Scene

@@ -23,8 +23,8 @@ from lscan.measure.shapemeasures import Quantity, measure_shapes
 from lscan.pipeline import build_surface, finish
 from lscan.records import Floats, Mask, Surface
 from lscan.surface import align_sandwave
-from lscan.surface.align.keptalignment import KeptAlignment, load_alignment, save_alignment
-from lscan.surface.provenance import provenance_of
+from lscan.surface.align.alignment import KeptAlignment, load_alignment, save_alignment
+from lscan.surface.surface import provenance_of
 from sim.scene import Pose, Scene, load_scene, scene_of, target_pose
 from sim.validation.accuracy.board import calibrations
 from sim.validation.accuracy.exposures import ScanReading, read_scan

@@ -20,7 +20,7 @@ from lscan.pipeline import build_surface, place, reconstruct
 from lscan.records import Floats, Surface
 from lscan.stripe import extract_stripe
 from lscan.surface import Alignment, resample
-from lscan.surface.profile import to_profile
+from lscan.surface.surface import to_profile
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.scene import scene_of
 from sim.sensor.coding import from_jpeg, jpeg_bytes

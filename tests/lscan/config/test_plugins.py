@@ -32,7 +32,7 @@ from lscan.paper.provenance import chain_versions
 from lscan.stripe import extract_stripe
 from lscan.stripe.extractors.rules import centroid
 from lscan.suites import find_suite, suites_found
-from lscan.surface.provenance import provenance_of
+from lscan.surface.surface import provenance_of
 
 GROUPS = ("lscan.cameras", "lscan.tracks", "lscan.extractors", "lscan.planemaps")
 

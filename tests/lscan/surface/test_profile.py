@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
 from lscan.records import PlanePoints, Status, Stripe, has_value
-from lscan.surface.profile import to_profile, to_profiles
+from lscan.surface.surface import to_profile, to_profiles
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,15 @@ from hypothesis import given, settings, strategies as st
 
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Ints, Surface
-from lscan.surface.concavity import series_shifts
-from lscan.surface.reliefspectrum import SEGMENT, ReliefSpectrum, spectrum_of
-from lscan.surface.sheetresponse import Sight, responses, transfer
+from lscan.surface.sheetresponse import (
+    SEGMENT,
+    ReliefSpectrum,
+    Sight,
+    responses,
+    series_shifts,
+    spectrum_of,
+    transfer,
+)
 from lscan.surface.thickness import correct_thickness
 
 pytestmark = pytest.mark.xdist_group("relief")  # one worker: they share a fixture

@@ -12,11 +12,18 @@ from lscan.config.rig import ShaftSection
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
-from lscan.surface import align_sandwave, apply, shaftfit
-from lscan.surface.nominal import above_top, nominal_top
-from lscan.surface.shaft import PARAMETERS, Shaft, shaft_of, stack_about
-from lscan.surface.shaftfile import load_shaft, save_shaft
-from lscan.surface.shaftfit import ShaftFit, calibrate_shaft
+from lscan.surface import align_sandwave, apply, shaft as shaftfit
+from lscan.surface.align.features import above_top, nominal_top
+from lscan.surface.shaft import (
+    PARAMETERS,
+    Shaft,
+    ShaftFit,
+    calibrate_shaft,
+    load_shaft,
+    save_shaft,
+    shaft_of,
+    stack_about,
+)
 
 PIECE, NODDING = Sandwave(), Nodding(frames=72, columns=80)
 SIGMA = np.array([2.0, 2.0, np.radians(1.0), np.radians(1.0), 0.002])

@@ -14,8 +14,7 @@ from lscan.config.rig import ShaftSection, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats, PlanePoints, Profile, Status
 from lscan.surface import load_surface, save_surface
-from lscan.surface.shaft import PARAMETERS, Shaft, section_of, shaft_of, stack_about
-from lscan.surface.shaftfile import load_shaft
+from lscan.surface.shaft import PARAMETERS, Shaft, load_shaft, section_of, shaft_of, stack_about
 
 FEW = settings(max_examples=25)
 EXACT = np.zeros((PARAMETERS, PARAMETERS))

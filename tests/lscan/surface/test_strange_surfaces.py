@@ -17,7 +17,7 @@ from peak_memory import refused_within
 from lscan.errors import InputError
 from lscan.records import Provenance, Status, Surface
 from lscan.surface import load_surface, save_surface
-from lscan.surface.netcdf import MOST_POINTS
+from lscan.surface.files import MOST_POINTS
 
 SHAPE = (3, 6)
 

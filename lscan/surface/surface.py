@@ -1,12 +1,200 @@
-"""Slices of an aligned surface: the height along a straight line in plan (Fig. 28)."""
+"""From the stripe in a picture to the profile in the laser sheet."""
 
+import hashlib
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
 from scipy.spatial import cKDTree
 
+from lscan.calibration.planemap import PlaneMap
+from lscan.camera.optics import stated_water
+from lscan.config.documents import Strict
+from lscan.config.plugins import with_package
+from lscan.config.rig import Rig
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
+from lscan.records import (
+    Floats,
+    Ints,
+    Mask,
+    PlanePoints,
+    Profile,
+    Provenance,
+    Status,
+    Stripe,
+    Surface,
+    has_value,
+    select,
+)
+
+
+def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profile:
+    """The scan line in the sheet of the head at a track position.
+
+    A point without a value in the stripe keeps the stripe's status, and so does a clipped
+    one (SATURATED) that the map can place; every other has the map's.  The map combines the
+    stripe's sigma_px with its own uncertainty, and its modes are passed on; like the numbers
+    they are NaN where there is no value.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+    position_mm : float, mm, of the track
+
+    Returns
+    -------
+    Profile
+        Of N points (x, z), mm, frame of the sheet, in the stripe's order.
+
+    Raises
+    ------
+    InputError
+        Where ``position_mm`` is not finite.
+    """
+    return to_profiles([stripe], plane_map, [position_mm])[0]
+
+
+def to_profiles(
+    stripes: Sequence[Stripe], plane_map: PlaneMap, positions_mm: Sequence[float]
+) -> list[Profile]:
+    """The scan lines of several pictures, as :func:`to_profile` gives each, all mapped at once.
+
+    Parameters
+    ----------
+    stripes : sequence of Stripe, px, one or more
+    plane_map : PlaneMap, from the pixels of that camera to the laser sheet
+    positions_mm : sequence of float, mm, of the track, one for each
+
+    Raises
+    ------
+    InputError
+        Where a position is not finite.
+    """
+    for position_mm in positions_mm:
+        if not np.isfinite(position_mm):
+            raise InputError("track position is not finite", where="to_profile", value=position_mm)
+    pixels, sigma_px = ([stripe.image_px for stripe in stripes], [s.sigma_px for s in stripes])
+    mapped = plane_map.to_plane(np.concatenate(pixels), np.concatenate(sigma_px))
+    points = _placed(np.concatenate([stripe.status for stripe in stripes]), mapped)
+    profiles, first = [], 0
+    for stripe, position_mm in zip(stripes, positions_mm, strict=True):
+        part = slice(first, first + len(stripe.status))
+        brightness = stripe.peak if stripe.flux is None else stripe.flux
+        profiles.append(Profile(float(position_mm), select(points, part), brightness))
+        first = part.stop
+    return profiles
+
+
+def _placed(found: Ints, mapped: PlanePoints) -> PlanePoints:
+    """The points that a map has placed, with what the stripe says of them."""
+    status = np.where(~has_value(found) | (mapped.status == Status.OK), found, mapped.status)
+    valued = has_value(status)[:, None]
+    return PlanePoints(
+        xz_mm=np.where(valued, mapped.xz_mm, np.nan),
+        sigma_mm=np.where(valued, mapped.sigma_mm, np.nan),
+        status=status,
+        modes_mm=(
+            None
+            if mapped.modes_mm is None
+            else np.where(valued[..., None], mapped.modes_mm, np.nan)
+        ),
+    )
+
+
+# Profiles stacked into a surface.
+
+
+def stack(profiles: Sequence[Profile]) -> Surface:
+    """The raw surface of F profiles of N points each, in the order given.
+
+    Frame "head": a point is (x, s, z) in mm, where x and z lie in the laser sheet and s is
+    the track position of its profile.  This is not yet the true shape where the sheet is
+    yawed against the track: see :func:`lscan.surface.align.alignment.shear`.
+
+    Parameters
+    ----------
+    profiles : sequence of Profile, mm, frame of the sheet
+
+    Returns
+    -------
+    Surface
+        Its modes_mm are the profiles' own, nothing common in y, in single precision; None unless
+        every profile has them.
+
+    Raises
+    ------
+    InputError
+        Where there is no profile, where the profiles differ in length or in their number of modes,
+        or where a track position is not finite.
+    """
+    if not profiles:
+        raise InputError("no profiles to stack", where="surface", allowed="one or more")
+    _require_one("length", {len(profile.points.status) for profile in profiles}, "one length")
+    position = np.array([profile.position_mm for profile in profiles], dtype=float)
+    if not np.isfinite(position).all():
+        where = f"profile {int(np.argmin(np.isfinite(position)))}"
+        raise InputError("track position is not finite", where=where, allowed="a number of mm")
+    status = np.stack([profile.points.status for profile in profiles])
+    xz = np.stack([profile.points.xz_mm for profile in profiles])
+    sigma = np.stack([profile.points.sigma_mm for profile in profiles])
+    track = np.where(np.isfinite(xz[..., 0]), position[:, None], np.nan)
+    return Surface(
+        xyz_mm=np.stack([xz[..., 0], track, xz[..., 1]], axis=-1),
+        sigma_x_mm=sigma[..., 0],
+        sigma_z_mm=sigma[..., 1],
+        status=status,
+        position_mm=position,
+        modes_mm=_modes(profiles),
+        brightness=np.stack([profile.brightness for profile in profiles]),
+    )
+
+
+def require_head_frame(surface: Surface) -> None:
+    """InputError for a surface that is not in the head frame.
+
+    Parameters
+    ----------
+    surface : Surface
+    """
+    if surface.frame != "head":
+        raise InputError(
+            "is aligned already",
+            where="surface",
+            value=surface.frame,
+            allowed="the head frame, as of a rig that names no sandwave in [workpiece]",
+        )
+
+
+def _require_one(what: str, found: set[int], allowed: str) -> None:
+    """InputError where the profiles differ in ``what``."""
+    if len(found) > 1:
+        message = f"profiles differ in {what}"
+        raise InputError(message, where="surface", value=sorted(found), allowed=allowed)
+
+
+def _modes(profiles: Sequence[Profile]) -> NDArray[np.float32] | None:
+    """(F, N, 3, M) modes of x, y and z."""
+    modes = [profile.points.modes_mm for profile in profiles]
+    known = [mode for mode in modes if mode is not None]
+    if len(known) < len(modes):
+        return None
+    counts = {mode.shape[2] for mode in known}
+    _require_one("their number of modes", counts, "one calibration")
+    stacked = np.zeros((len(known), len(known[0]), 3, *counts), dtype=np.float32)
+    for row, mode in zip(stacked, known, strict=True):
+        row[:, [0, 2]] = mode
+    # y is the track's, without error, but holds no number where there is no point.
+    stacked[:, :, 1][np.isnan(stacked[:, :, 0])] = np.nan
+    return stacked
+
+
+# Slices of an aligned surface: the height along a straight line in plan (Fig. 28).
+
 
 RADIUS_IN_SAMPLES = 2.0
 """Radius of the neighbourhood in units of the coarser of the two sample spacings: a circle
@@ -213,3 +401,41 @@ def _lack_of_fit(near: _Near, fitted: Floats, variance: Floats) -> Floats:
     freedom = np.maximum(near.used.sum(axis=1) - 3, 1)
     noise = np.where(near.used, variance, 0.0).sum(axis=1) / np.maximum(near.used.sum(axis=1), 1)
     return np.maximum(squares / freedom - noise, 0.0)
+
+
+# What a surface was made from: as it is found, and as files have it.
+
+
+class StoredProvenance(Strict):
+    """As records.Provenance, in a file."""
+
+    rig: str
+    pictures: Annotated[int, Field(ge=1)]
+    extractor: str
+    plane_map: str
+    calibration_sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+    def provenance(self) -> Provenance:
+        """As the program holds it."""
+        return Provenance(**self.model_dump(include=set(StoredProvenance.model_fields)))
+
+
+def provenance_of(rig: Rig, pictures: int, plane_map: PlaneMap) -> Provenance:
+    """What a surface of a run's pictures is made from.
+
+    Parameters
+    ----------
+    rig : Rig, the pictures were taken with
+    pictures : int, their number
+    plane_map : PlaneMap, of the rig's camera, as calibrated
+    """
+    since = rig.since_calibration
+    carried_by = [stated_water(rig.optics), since and since.model_dump(mode="json")]
+    content = json.dumps([plane_map.name, plane_map.parameters(), carried_by], sort_keys=True)
+    return Provenance(
+        rig=rig.name,
+        pictures=pictures,
+        extractor=with_package("lscan.extractors", rig.stripe.extractor),
+        plane_map=with_package("lscan.planemaps", plane_map.name),
+        calibration_sha256=hashlib.sha256(content.encode()).hexdigest(),
+    )
