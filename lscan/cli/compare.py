@@ -1,4 +1,4 @@
-"""The command ``lscan compare``: a thin face over lscan.measure.meshcompare."""
+"""The command ``lscan compare``: a thin face over lscan.measure.meshes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lscan.cli.console import note, print_json, print_table
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
-    from lscan.measure.meshcompare import MeshPose
+    from lscan.measure.meshes import MeshPose
 
 
 def compare(
@@ -44,7 +44,7 @@ def compare(
     """Compare a surface with a mesh: the signed distances of its points."""
     from lscan.files.disk import write_json
     from lscan.files.meshes import MM_PER_UNIT, TWICE, load_mesh
-    from lscan.measure.meshcompare import (
+    from lscan.measure.meshes import (
         MeshPose,
         compare_mesh,
         save_coloured_points,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lscan.acquisition.run import Run
     from lscan.calibration.planemap import PlaneMap
     from lscan.config.rig import Rig
-    from lscan.measure.shapemeasures import ShapeMeasure
+    from lscan.measure.shapes import ShapeMeasure
     from lscan.measurement import Measures, SandwaveMeasures
     from lscan.pipeline import Reconstruction
     from lscan.records import Length, Surface
@@ -177,7 +177,7 @@ def _measured_shapes(
     """The surface of a file or of a run, and what the shapes file asks for of it."""
     from lscan.cli.inputs import open_calibrated
     from lscan.config.targets import load_shapes
-    from lscan.measure.shapemeasures import measure_shapes
+    from lscan.measure.shapes import measure_shapes
     from lscan.surface import load_surface
 
     wanted = load_shapes(shapes)

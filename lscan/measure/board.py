@@ -1,19 +1,14 @@
-"""Features of the board measured through a plane map: distances (Table I), circles (Table II).
+"""A measured length with the parts of its uncertainty, and the mean of it over pictures."""
 
-Two causes of error are kept apart.  What the marks' centres in the picture miss by is each
-mark's own.  What the map misses by displaces all marks together (PlanePoints.modes_mm): of a
-distance only the difference at its two ends counts, of a diameter only what is left once the
-circle has followed the shift of its points.
-"""
-
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board, Ring
 from lscan.errors import MeasurementError
-from lscan.measure.circle import fit_circle
 from lscan.records import (
     BoardReading,
     Floats,
@@ -24,6 +19,191 @@ from lscan.records import (
     Status,
     has_value,
 )
+
+OUTLIER = 5.0
+"""Values farther from the median than this many of their own standard uncertainties, and of the
+robust scatter of all, are left out of a mean."""
+
+TINY = 1e-6  # mm; lengths without any noise weigh alike
+
+
+@dataclass(frozen=True)
+class LengthBudget:
+    """A length with the parts of its uncertainty (the budget of the GUM).
+
+    Attributes
+    ----------
+    value_mm : float, mm
+    own_mm : float, mm, standard uncertainty from noise, another in every picture
+    common_mm : float, mm, what errs alike in all pictures of one place and is not among the modes
+    modes_mm : (M,) array or None, mm, how each mode of the calibration changes the length; None
+        where none are known
+    """
+
+    value_mm: float
+    own_mm: float
+    common_mm: float
+    modes_mm: Floats | None = None
+
+    @property
+    def sigma_mm(self) -> float:
+        """Standard uncertainty, all parts together."""
+        modes = 0.0 if self.modes_mm is None else float(np.linalg.norm(self.modes_mm))
+        return float(np.linalg.norm([self.own_mm, self.common_mm, modes]))
+
+
+def mean_length(lengths: Sequence[LengthBudget]) -> LengthBudget:
+    """The mean of a length over several pictures, weighted by what they know of it.
+
+    Outliers (see OUTLIER) are left out.  The mean's own_mm is that of its weights, enlarged where
+    the values scatter more than their own noise says; what is common does not average out.
+
+    Parameters
+    ----------
+    lengths : sequence of LengthBudget, mm, one a picture
+    """
+    value = np.array([length.value_mm for length in lengths])
+    own = np.array([length.own_mm for length in lengths])
+    common = np.array([length.common_mm for length in lengths])
+    off = np.abs(value - np.median(value))
+    kept = off <= OUTLIER * np.maximum(np.hypot(own, common), 1.4826 * np.median(off)) + 1e-9
+    weight = kept / (own**2 + common**2 + TINY**2)
+    weight = weight / weight.sum()
+    mean = float(weight @ value)
+    spread = float(np.linalg.norm(weight * own))
+    if kept.sum() > 1:
+        scatter = float(weight @ (value - mean) ** 2) / (int(kept.sum()) - 1)
+        spread = max(spread, float(np.sqrt(scatter)))
+    modes = [length.modes_mm for length in lengths]
+    known = [mode for mode in modes if mode is not None]
+    return LengthBudget(
+        value_mm=mean,
+        own_mm=spread,
+        common_mm=float(np.sqrt(weight @ common**2)),
+        modes_mm=weight @ np.array(known) if len(known) == len(modes) else None,
+    )
+
+
+# The circle that lies closest to points in a plane.
+
+
+@dataclass(frozen=True)
+class Circle:
+    """A fitted circle.
+
+    Attributes
+    ----------
+    centre_mm : (2,) array, mm, frame of the points
+    radius_mm : float, mm
+    diameter_sigma_mm : float, mm, standard uncertainty of the diameter where the points err
+        independently
+    radius_by_point : (K, 2) array, derivative of the radius by each point's (x, z)
+    """
+
+    centre_mm: Floats
+    radius_mm: float
+    diameter_sigma_mm: float
+    radius_by_point: Floats
+
+
+def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
+    """The circle of least squared distances to points.
+
+    Parameters
+    ----------
+    points_mm : (K, 2) array, mm, in any plane
+    sigma_mm : (K,) array, mm, standard uncertainty of each point's distance from the circle; points
+        are weighted by it
+
+    Returns
+    -------
+    Circle
+        Its uncertainty is that of the sigmas given or that of the points' scatter, whichever is
+        the larger.
+
+    Raises
+    ------
+    MeasurementError
+        For fewer than four points, or points that lie on a line.
+
+    References
+    ----------
+    Starts from the algebraic circle of I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976).
+
+    Examples
+    --------
+    >>> corners = np.array([[0.0, 0.0], [0.0, 6.0], [8.0, 0.0], [8.0, 6.0]])
+    >>> round(fit_circle(corners, np.full(4, 0.1)).radius_mm, 6)
+    5.0
+    """
+    if len(points_mm) < 4:
+        raise MeasurementError(f"circle: {len(points_mm)} points, 4 are needed")
+    root = 1 / np.maximum(sigma_mm, 1e-6)
+
+    def weighted(parameters: Floats) -> Floats:
+        return (np.linalg.norm(points_mm - parameters[:2], axis=1) - parameters[2]) * root
+
+    def jacobian(parameters: Floats) -> Floats:
+        return _by_parameters(points_mm, parameters) * root[:, None]
+
+    fit = least_squares(weighted, _algebraic(points_mm), jacobian, method="lm", xtol=1e-12)
+    design = jacobian(fit.x)
+    inverse = np.linalg.inv(design.T @ design).astype(float)
+    scatter = 2 * float(fit.cost) / max(len(points_mm) - 3, 1)
+    by_distance = -(inverse @ design.T)[2] * root  # of the radius, by each residual
+    return Circle(
+        centre_mm=fit.x[:2],
+        radius_mm=float(fit.x[2]),
+        diameter_sigma_mm=2 * float(np.sqrt(inverse[2, 2] * max(1.0, scatter))),
+        radius_by_point=-by_distance[:, None] * _by_parameters(points_mm, fit.x)[:, :2],
+    )
+
+
+def _by_parameters(points: Floats, parameters: Floats) -> Floats:
+    """(K, 3) derivatives of the points' distances from the circle by its centre and radius."""
+    away = points - parameters[:2]
+    distance = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+    return np.column_stack([-away / distance, -np.ones(len(points))])
+
+
+def _algebraic(points: Floats) -> Floats:
+    """(3,) centre and radius that minimise the squared x² + z² + D x + E z + F."""
+    middle = points.mean(axis=0)
+    centred = points - middle
+    spread = np.linalg.eigvalsh(centred.T @ centred)
+    if spread[0] < 1e-9 * spread[1] or spread[1] == 0:
+        raise MeasurementError("circle: its points lie on a straight line")
+    return algebraic_ball(points)
+
+
+def algebraic_ball(points_mm: Floats) -> Floats:
+    """(D + 1,) centre and radius, mm, of the algebraic circle, or sphere, of points.
+
+    They minimise the squared |p|² + a . p + b.
+
+    Parameters
+    ----------
+    points_mm : (K, D) array, mm, D of 2 or 3
+
+    References
+    ----------
+    I. Kasa, IEEE Trans. Instrum. Meas. 25, 8 (1976).
+    """
+    middle = points_mm.mean(axis=0)
+    centred = points_mm - middle
+    design = np.column_stack([centred, np.ones(len(points_mm))])
+    solution = np.linalg.lstsq(design, -(centred**2).sum(axis=1), rcond=None)[0]
+    centre = -solution[:-1] / 2
+    radius = np.sqrt(max(float(centre @ centre - solution[-1]), 0.0))
+    return np.array([*(centre + middle), radius])
+
+
+# Features of the board measured through a plane map: distances (Table I), circles (Table II).
+#
+# Two causes of error are kept apart.  What the marks' centres in the picture miss by is each
+# mark's own.  What the map misses by displaces all marks together (PlanePoints.modes_mm): of a
+# distance only the difference at its two ends counts, of a diameter only what is left once the
+# circle has followed the shift of its points.
 
 
 def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Length]:

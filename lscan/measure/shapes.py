@@ -1,13 +1,348 @@
 """Planes, spheres and cylinders in space, as shapes to fit, and where their fits start."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lscan.measure.circle import algebraic_ball
-from lscan.measure.shapefit import ShapeTerms
-from lscan.records import Floats, Ints
+from lscan.config.targets import HeightShape, ShapesDocument, SurfaceBox
+from lscan.errors import MeasurementError
+from lscan.measure.board import algebraic_ball
+from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
+from lscan.surface.align.alignment import own_variances, turned_modes
+from lscan.surface.surface import sample
+
+# A shape fitted to the points of a surface by least squares of their distances from it.
+#
+# A point's distance has the standard uncertainty that its own noise has along the shape's normal,
+# and is weighed by it.  Three things make the fitted parameters uncertain:
+#
+# * the points' own noise, through the least squares;
+# * errors that neighbours share, such as a lens's blur on a flank: they show as a scatter of the
+#   scores, summed over cells of the region, that is larger than independent noise gives, and
+# enlarge
+#   the covariance by that ratio (the scores' scatter over clusters: Liang and Zeger 1986);
+# * the errors of calibration and alignment that all points share, the surface's modes: each
+# changes
+#   the parameters by a weighted sum of what it does to the distances.
+#
+# All is of first order in the noise: the radius of a sphere grows by s²/r, 0.3 µm of 30 mm for
+# noise
+# of 0.1 mm.
+
+
+OUTLIER = 5.0
+"""Points beyond so many robust standard deviations are left out: of a normal distribution one in
+two million."""
+
+LEAST_SIGMA_MM = 1e-4
+"""Points are weighed as if known to no better than this: exact ones have weights too."""
+
+CELLS_ACROSS = 8
+"""Cells of a region along its longer side: errors of neighbours change within less than that."""
+
+CELLS_A_PARAMETER = 4
+"""Fewest cells for each parameter, from which the scatter of their scores is judged: a variance
+from 16 or more is known to a third."""
+
+MOST_ITERATIONS = 100
+
+UNDECIDED_ITERATIONS = 15
+"""Rounds after which it stays as it is which points are outliers: a doubtful one that came and
+went would keep the fit from settling."""
+
+SETTLED = 1e-4
+"""Length of a step, in standard deviations, at which the iteration ends."""
+
+SLOW_ITERATIONS = 25
+"""Rounds after which it also ends once a step no longer lessens the squares: over the facets of a
+mesh steps stay longer."""
+
+SINGULAR = 1e-12
+"""Least eigenvalue of the normal matrix, each parameter in its own scale, that determines all of
+them: rounding of a double is 2e-16 for each of some thousand points."""
+
+FELT = 1e-9
+"""A parameter that changes the distances by less than this, against what another one of them does,
+is not determined: a plane's normal has components of 1e-16 within it by rounding alone."""
+
+
+@dataclass(frozen=True)
+class MeasuredPoints:
+    """K points of a surface.
+
+    Attributes
+    ----------
+    xyz_mm : (K, 3) array, mm, frame of the surface
+    own_mm2 : (K, 3) array, mm², variances of x, y and z that are each point's own
+    modes_mm : (K, 3, M) array, mm, what each independent error of calibration and alignment
+        displaces the points by
+    """
+
+    xyz_mm: Floats
+    own_mm2: Floats
+    modes_mm: NDArray[np.floating]
+
+    def only(self, wanted: Mask | Ints) -> "MeasuredPoints":
+        """Those of a mask (K,) or of indices.
+
+        Parameters
+        ----------
+        wanted : (K,) mask or array of indices, of the points kept
+        """
+        return MeasuredPoints(self.xyz_mm[wanted], self.own_mm2[wanted], self.modes_mm[wanted])
+
+
+def measured_points(surface: Surface, wanted: Mask | None = None) -> MeasuredPoints:
+    """The points of a surface that have a value, profile by profile.
+
+    Parameters
+    ----------
+    surface : Surface, of F by N points, in either frame
+    wanted : (F, N) mask, optional, of those wanted; by default all
+    """
+    valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
+    if wanted is not None:
+        valid &= wanted
+    index = np.flatnonzero(valid)
+    modes = turned_modes(surface, np.eye(3), index)
+    return MeasuredPoints(surface.xyz_mm[valid], own_variances(surface)[valid], modes)
+
+
+@dataclass(frozen=True)
+class ShapeTerms:
+    """Where K points lie against a shape of P parameters.
+
+    Attributes
+    ----------
+    distance_mm : (K,) array, mm, signed distance of each point from the shape
+    normal : (K, 3) array, unit normals, along which the distance grows
+    design : (K, P) array, derivatives of the distances by the parameters
+    usable : (K,) mask, of the points that the shape has a distance for
+    turn : (P, 3) array, optional, change of the normals by the parameters, alike at all points
+    """
+
+    distance_mm: Floats
+    normal: Floats
+    design: Floats
+    usable: Mask
+    turn: Floats | None = None
+
+    def sigma_mm(self, points: MeasuredPoints) -> Floats:
+        """(K,) mm, standard uncertainty of the distances by the points' own noise.
+
+        Parameters
+        ----------
+        points : MeasuredPoints, the K points
+        """
+        variance = (self.normal**2 * points.own_mm2).sum(axis=1)
+        return np.sqrt(np.maximum(variance, LEAST_SIGMA_MM**2))
+
+    def by_sigma(self, points: MeasuredPoints) -> Floats:
+        """(K, P) derivatives of the distances over their sigma, which turns with the normals.
+
+        Without that, heights alone being uncertain, a plane would come out too steep.
+
+        Parameters
+        ----------
+        points : MeasuredPoints, the K points
+        """
+        sigma = self.sigma_mm(points)[:, None]
+        if self.turn is None:
+            return self.design / sigma
+        turned = (self.normal * points.own_mm2) @ self.turn.T / sigma**2
+        return (self.design - self.distance_mm[:, None] * turned) / sigma
+
+    def by_modes(self, points: MeasuredPoints) -> Floats:
+        """(K, M) mm, change of the distances by each of the points' modes.
+
+        Parameters
+        ----------
+        points : MeasuredPoints, the K points
+        """
+        return np.einsum("ki,kim->km", self.normal, points.modes_mm)
+
+
+class FittedShape(Protocol):
+    """A shape in space, of P parameters."""
+
+    def terms(self, xyz_mm: Floats) -> ShapeTerms:
+        """Where points (K, 3), mm, lie against it."""
+        ...
+
+    def moved(self, step: Floats) -> "FittedShape":
+        """The shape with its parameters changed by a step (P,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class ShapeFit:
+    """A shape fitted to points.
+
+    Attributes
+    ----------
+    shape : FittedShape, of P parameters
+    covariance : (P, P) array, of the parameters, from noise and from errors that neighbours share
+    modes : (P, M) array, change of the parameters by each of the points' modes
+    determined : bool, whether the points determine all parameters
+    terms : ShapeTerms, of all points about the shape
+    kept : (K,) mask, of the points that are no outliers
+    """
+
+    shape: FittedShape
+    covariance: Floats
+    modes: Floats
+    determined: bool
+    terms: ShapeTerms
+    kept: Mask
+
+    @property
+    def rms_mm(self) -> float:
+        """Root mean square distance of the points that are no outliers, mm."""
+        return float(np.sqrt(np.mean(self.terms.distance_mm[self.kept] ** 2)))
+
+    def sigma(self, gradient: Floats) -> Floats:
+        """(Q,) standard uncertainties of quantities, all causes together.
+
+        Parameters
+        ----------
+        gradient : (Q, P) array, of the quantities by the parameters
+        """
+        own = np.einsum("qi,ij,qj->q", gradient, self.covariance, gradient)
+        return np.sqrt(np.maximum(own, 0.0) + np.square(gradient @ self.modes).sum(axis=1))
+
+    def share_of_noise(self, points: MeasuredPoints) -> float:
+        """How much of what determines the parameters is the points' own noise: of variances.
+
+        Points on one line have noise aside of it too, by which any plane through the line seems
+        determined.  The noise counts as alike along all axes: the shape may stand wrongly.
+
+        Parameters
+        ----------
+        points : MeasuredPoints, that it was fitted to
+        """
+        noise = np.sqrt(np.maximum(points.own_mm2.max(axis=1, keepdims=True), LEAST_SIGMA_MM**2))
+        ways = noise * np.eye(3)[:, None]
+        change = np.stack([self.shape.terms(points.xyz_mm + way).design for way in ways])
+        change = (change - self.terms.design) / self.terms.sigma_mm(points)[:, None]
+        change = change[:, self.kept].reshape(-1, len(self.covariance))
+        return float(((change @ self.covariance) * change).sum())
+
+
+def fit_shape(start: FittedShape, points: MeasuredPoints, what: str) -> ShapeFit:
+    """The shape of least squares through points, outliers left out.
+
+    Parameters
+    ----------
+    start : FittedShape, from which it is looked for
+    points : MeasuredPoints, mm
+    what : str, how messages call it
+
+    Raises
+    ------
+    MeasurementError
+        Where there are too few points, or the fit does not settle.
+
+    References
+    ----------
+    Covariance with errors that neighbours share: K.-Y. Liang and S. L. Zeger, Biometrika 73, 13
+    (1986).
+    """
+    shape, kept, least = start, None, np.inf
+    for iteration in range(MOST_ITERATIONS):
+        terms = shape.terms(points.xyz_mm)
+        sigma = terms.sigma_mm(points)
+        if kept is None or iteration < UNDECIDED_ITERATIONS:
+            kept = _no_outliers(terms, sigma)
+        count, fewest = int(kept.sum()), 2 * terms.design.shape[1]
+        if count < fewest:
+            raise MeasurementError(f"{what}: {count} points lie there, {fewest} are needed")
+        step, length = _step(terms.by_sigma(points)[kept], terms.distance_mm[kept] / sigma[kept])
+        squares = float(np.square(terms.distance_mm[kept] / sigma[kept]).sum())
+        idle = iteration >= SLOW_ITERATIONS and squares >= least
+        if (length < SETTLED and iteration >= UNDECIDED_ITERATIONS) or idle:
+            return _fitted(shape, points, kept)
+        shape, least = shape.moved(step), squares
+    raise MeasurementError(f"{what}: the fit does not settle: does what lies there determine it?")
+
+
+def _no_outliers(terms: ShapeTerms, sigma: Floats) -> Mask:
+    """(K,) which points are no outliers; a distance that rounding explains is none."""
+    ratio = np.abs(terms.distance_mm) / sigma
+    if not terms.usable.any():
+        return terms.usable
+    # Of a normal distribution the median of the absolute value is 0.6745 sigma.
+    spread = float(np.median(ratio[terms.usable])) / 0.6745
+    return terms.usable & (ratio <= OUTLIER * spread + LEAST_SIGMA_MM / sigma)
+
+
+def _step(weighted: Floats, ratio: Floats) -> tuple[Floats, float]:
+    """The Gauss-Newton step (P,) and its length in standard deviations; see ``_excess``."""
+    inverse, _ = _inverse(weighted.T @ weighted)
+    step = -inverse @ (weighted.T @ ratio)
+    return step, float(np.linalg.norm(weighted @ step))
+
+
+def _inverse(matrix: Floats) -> tuple[Floats, bool]:
+    """The inverse of a normal matrix, of what it determines, and whether that is all."""
+    squares = np.diag(matrix)
+    scale = np.sqrt(np.where(squares > FELT**2 * squares.max(), squares, np.inf))
+    values, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+    known = values > SINGULAR
+    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    return inverse / np.outer(scale, scale), bool(known.all())
+
+
+def _fitted(shape: FittedShape, points: MeasuredPoints, kept: Mask) -> ShapeFit:
+    """The fit with its uncertainty, the shape and the points that had a part in it decided."""
+    terms = shape.terms(points.xyz_mm)
+    sigma = terms.sigma_mm(points)[kept]
+    weighted = terms.by_sigma(points)[kept]
+    inverse, determined = _inverse(weighted.T @ weighted)
+    ratio = terms.distance_mm[kept] / sigma
+    excess = _excess(weighted, ratio, inverse, _cells(points.xyz_mm[kept]))
+    common = terms.by_modes(points)[kept] / sigma[:, None]
+    return ShapeFit(
+        shape=shape,
+        covariance=inverse * excess,
+        modes=-inverse @ (weighted.T @ common),
+        determined=determined,
+        terms=terms,
+        kept=kept,
+    )
+
+
+def _cells(xyz: Floats) -> Ints:
+    """(K,) number of the square cell in plan that each point lies in, from 0."""
+    plan = xyz[:, :2] - xyz[:, :2].min(axis=0)
+    side = max(float(plan.max()) / CELLS_ACROSS, np.finfo(float).tiny)
+    place = np.minimum(plan / side, CELLS_ACROSS - 1).astype(np.int64)
+    number: Ints = np.unique(place @ [CELLS_ACROSS, 1], return_inverse=True)[1]
+    return number
+
+
+def _excess(weighted: Floats, ratio: Floats, inverse: Floats, cell: Ints) -> float:
+    """By how much the parameters' variances are larger than the points' own noise says; 1 or more.
+
+    weighted: (K, P) design and ratio: (K,) distances in units of sigma.
+    """
+    count, parameters = weighted.shape
+    excess = max(1.0, float(ratio @ ratio) / max(count - parameters, 1))
+    cells = int(cell.max()) + 1
+    if cells < CELLS_A_PARAMETER * parameters:
+        return excess
+    scores = np.zeros((cells, parameters))
+    np.add.at(scores, cell, weighted * ratio[:, None])
+    # The fit takes its own freedom out of the scores' scatter.
+    freedom = cells / (cells - parameters)
+    of_cells = freedom * float(np.trace(inverse @ (scores.T @ scores))) / parameters
+    return max(excess, of_cells)
+
+
+# Planes, spheres and cylinders in space, as shapes to fit, and where their fits start.
+
 
 DIRECTIONS = 200
 """Of a cylinder's axis that are tried, even over half a sphere: 10 degrees from one to the next."""
@@ -246,3 +581,173 @@ def _half_sphere(count: int) -> Floats:
     turn = np.arange(count) * np.pi * (3 - np.sqrt(5.0))
     across = np.sqrt(1 - z**2)
     return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
+
+
+# What a shapes file asks for, measured on a surface: values with their uncertainties.
+
+
+MOST_POINTS = 50_000
+"""Of a shape; more are thinned out evenly: what they add is below what neighbours share."""
+
+SMALL = 1e-5
+"""Change of a parameter, mm or rad, by which quantities are differentiated: their second
+derivatives, below 1e3, then count for 1e-7 of a slope of 1, and rounding for as little."""
+
+MOST_NOISE = 0.1  # in what determines a shape: of a plane, profiles six sigmas apart, or nearer
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured value and its standard uncertainty, all causes together, in the value's unit."""
+
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class ShapeMeasure:
+    """What was measured of one entry of a shapes file.
+
+    Attributes
+    ----------
+    name : str, of the entry
+    kind : str, "plane", "step", "sphere", "cylinder" or "height"
+    values : mapping of Quantity, by quantity, whose name ends with its unit
+    points, outliers : int or None, number of points used, and of those left out as too far off;
+        None of a height
+    rms_mm : float or None, mm, root mean square distance of the points used from the shape
+    """
+
+    name: str
+    kind: str
+    values: Mapping[str, Quantity]
+    points: int | None = None
+    outliers: int | None = None
+    rms_mm: float | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The entry as JSON has it."""
+        counts = {"points": self.points, "outliers": self.outliers, "rms_mm": self.rms_mm}
+        values = {name: asdict(one) for name, one in self.values.items()}
+        known = {name: count for name, count in counts.items() if count is not None}
+        return {"kind": self.kind, "values": values, **known}
+
+
+def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasure]:
+    """All that a shapes file asks for.
+
+    Parameters
+    ----------
+    surface : Surface, mm; the file's coordinates are those of its frame
+    wanted : ShapesDocument, what is measured, and where
+
+    Raises
+    ------
+    MeasurementError
+        Names the entry where there is too little of the surface, or another shape.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> from lscan.config.targets import ShapesDocument
+    >>> surface = lscan.load_surface("surface.nc")
+    >>> wanted = ShapesDocument.model_validate(
+    ...     {"plane": [{"name": "top", "x_mm": [180, 200], "y_mm": [-1, 2]}]}
+    ... )
+    >>> [measure.name for measure in measure_shapes(surface, wanted)]
+    ['top']
+    """
+    found = [_planes(surface, "plane", one.name, [one]) for one in wanted.plane]
+    found += [_planes(surface, "step", one.name, [one.upper, one.lower]) for one in wanted.step]
+    for kind, shape, entries in (
+        ("sphere", SphereShape, wanted.sphere),
+        ("cylinder", CylinderShape, wanted.cylinder),
+    ):
+        for entry in entries:
+            points = _in_box(surface, entry, entry.name)
+            fit = fit_shape(shape.start(points.xyz_mm), points, f"{kind} {entry.name!r}")
+            found.append(_measure(kind, entry.name, fit, points))
+    return found + [_height(surface, one) for one in wanted.height]
+
+
+def _planes(surface: Surface, kind: str, name: str, boxes: Sequence[SurfaceBox]) -> ShapeMeasure:
+    """One plane, or two parallel ones, the upper first."""
+    parts = [_in_box(surface, box, name) for box in boxes]
+    alike = zip(*((part.xyz_mm, part.own_mm2, part.modes_mm) for part in parts), strict=True)
+    points = MeasuredPoints(*map(np.concatenate, alike))
+    which: Ints = np.repeat(np.arange(len(parts)), [len(part.xyz_mm) for part in parts])
+    start = ParallelPlanes.start(points.xyz_mm, which)
+    return _measure(kind, name, fit_shape(start, points, f"{kind} {name!r}"), points)
+
+
+def _in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoints:
+    """The surface's points in the box, at most MOST_POINTS of them."""
+    x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
+    inside: Mask = np.ones(x.shape, dtype=bool)
+    for values, limits in ((x, box.x_mm), (y, box.y_mm), (z, box.z_mm)):
+        if limits is not None:
+            inside &= (values >= limits[0]) & (values <= limits[1])
+    points = measured_points(surface, inside)
+    if len(points.xyz_mm) == 0:
+        raise MeasurementError(
+            f"{name!r}: the surface has no point in its box; it has points in {_reach(surface)}"
+        )
+    return points.only(np.arange(0, len(points.xyz_mm), -(-len(points.xyz_mm) // MOST_POINTS)))
+
+
+def _reach(surface: Surface) -> str:
+    """From where to where there are points, in words."""
+    points = surface.xyz_mm[has_value(surface.status)]
+    sides = zip(
+        "xyz", points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf), strict=True
+    )
+    return ", ".join(f"{axis} from {low:.1f} to {high:.1f} mm" for axis, low, high in sides)
+
+
+def _measure(kind: str, name: str, fit: ShapeFit, points: MeasuredPoints) -> ShapeMeasure:
+    """The quantities of a fitted shape with their uncertainties."""
+    shape = fit.shape
+    assert isinstance(shape, MeasuredShape)
+    if not fit.determined or fit.share_of_noise(points) > MOST_NOISE:
+        raise MeasurementError(
+            f"{kind} {name!r}: the points in its box do not determine it, given their scatter"
+        )
+    values = shape.quantities()
+    sigma = fit.sigma(_gradient(shape, len(fit.covariance)))
+    return ShapeMeasure(
+        name=name,
+        kind=kind,
+        values={
+            key: Quantity(values[key], s) for key, s in zip(values, sigma.tolist(), strict=True)
+        },
+        points=int(fit.kept.sum()),
+        outliers=int((~fit.kept).sum()),
+        rms_mm=fit.rms_mm,
+    )
+
+
+def _gradient(shape: MeasuredShape, parameters: int) -> Floats:
+    """(Q, P) of a shape's quantities by its parameters, by central differences."""
+
+    def at(step: Floats) -> Floats:
+        return np.array(list(shape.moved(step).quantities().values()))
+
+    steps = SMALL * np.eye(parameters)
+    return np.stack([(at(step) - at(-step)) / (2 * SMALL) for step in steps], axis=1)
+
+
+def _height(surface: Surface, wanted: HeightShape) -> ShapeMeasure:
+    """The difference in height of two places; what errs in common at both cancels."""
+    places = sample(surface, np.array([wanted.from_mm, wanted.to_mm], dtype=float))
+    if (places.status != Status.OK).any():
+        missing = (wanted.from_mm, wanted.to_mm)[int(np.argmax(places.status != Status.OK))]
+        raise MeasurementError(
+            f"height {wanted.name!r}: too few points lie within {places.radius_mm:.3g} mm of "
+            f"{missing}"
+        )
+    modes = np.zeros((2, 0)) if places.modes_mm is None else places.modes_mm
+    own = places.sigma_z_mm**2 - np.square(modes).sum(axis=1)
+    variance = float(np.maximum(own, 0.0).sum() + np.square(modes[1] - modes[0]).sum())
+    height = float(places.z_mm[1] - places.z_mm[0])
+    measured = Quantity(height, float(np.sqrt(variance)))
+    return ShapeMeasure(wanted.name, "height", {"height_mm": measured})

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lscan.measure.shapefit import MeasuredPoints
+from lscan.measure.shapes import MeasuredPoints
 from lscan.records import Floats, Surface
 
 SPAN_MM = 40.0

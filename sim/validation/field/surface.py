@@ -18,8 +18,8 @@ from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import parse_rig
 from lscan.config.targets import Sandwave, ShapesDocument
 from lscan.files.disk import write_atomically
-from lscan.measure.meshcompare import MeshPose, compare_mesh
-from lscan.measure.shapemeasures import Quantity, measure_shapes
+from lscan.measure.meshes import MeshPose, compare_mesh
+from lscan.measure.shapes import Quantity, measure_shapes
 from lscan.pipeline import build_surface, finish
 from lscan.records import Floats, Mask, Surface
 from lscan.surface import align_sandwave

@@ -9,9 +9,8 @@ from scipy.stats import norm
 
 from lscan.config.targets import GroovedBlock
 from lscan.measure import groove_dimensions
-from lscan.measure.ends import FALSE_LIGHT, USUAL_BLUR, segment_ends
-from lscan.measure.lengths import LengthBudget, mean_length
-from lscan.measure.segments import PHASE, Segment, Trace
+from lscan.measure.board import LengthBudget, mean_length
+from lscan.measure.grooves import FALSE_LIGHT, PHASE, USUAL_BLUR, Segment, Trace, segment_ends
 from lscan.records import Floats, PlanePoints, Profile, Status
 
 PIECE = GroovedBlock()

@@ -12,14 +12,14 @@ from scipy.spatial.transform import Rotation
 from shape_surfaces import dome, plan, surface_of
 
 from lscan.errors import InputError, MeasurementError
-from lscan.measure import meshdistance
-from lscan.measure.meshcompare import (
+from lscan.measure import meshes as meshdistance
+from lscan.measure.meshes import (
     MeshPose,
+    MeshSearch,
     compare_mesh,
     save_coloured_points,
     save_histogram,
 )
-from lscan.measure.meshdistance import MeshSearch
 from lscan.records import Floats
 
 BOX_MM = np.array([400.0, 60.0, 20.0])

@@ -9,9 +9,15 @@ from scipy.spatial.transform import Rotation
 from shape_surfaces import RADIUS_MM, common_errors, dome, plan, points_of, ridge
 
 from lscan.errors import MeasurementError
-from lscan.measure.circle import algebraic_ball
-from lscan.measure.shapefit import FittedShape, ShapeFit, fit_shape
-from lscan.measure.shapes import CylinderShape, ParallelPlanes, SphereShape
+from lscan.measure.board import algebraic_ball
+from lscan.measure.shapes import (
+    CylinderShape,
+    FittedShape,
+    ParallelPlanes,
+    ShapeFit,
+    SphereShape,
+    fit_shape,
+)
 from lscan.records import Floats
 
 SEEDS = 100

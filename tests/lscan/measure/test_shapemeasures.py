@@ -10,7 +10,7 @@ from shape_surfaces import RADIUS_MM, dome, plan, ridge, surface_of
 
 from lscan.config.targets import ShapesDocument, load_shapes
 from lscan.errors import InputError, MeasurementError
-from lscan.measure.shapemeasures import measure_shapes
+from lscan.measure.shapes import measure_shapes
 from lscan.records import Floats, Status
 
 ALL = {"x_mm": [-100.0, 100.0], "y_mm": [-100.0, 100.0]}

@@ -4,7 +4,7 @@ import numpy as np
 from places import SCENES
 from scipy.spatial.transform import Rotation
 
-from lscan.measure.meshdistance import MeshSearch
+from lscan.measure.meshes import MeshSearch
 from sim.scene import Pose
 from sim.validation.field import surface as chapter
 
