@@ -84,7 +84,7 @@ def roughness(
     """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
     from lscan.config.rig import load_rig
     from lscan.roughness import MM_PER_CM, response_of, roughness_of, sediment
-    from lscan.roughness.files import save_roughness
+    from lscan.roughness.analysis import save_roughness
     from lscan.surface import load_surface
 
     require_folders(output)
@@ -116,7 +116,7 @@ def roughness(
     if output:
         save_roughness(output, patch, found)
     if figures:
-        from lscan.roughness.plots import save_figures  # loads matplotlib
+        from lscan.roughness.analysis import save_figures  # loads matplotlib
 
         save_figures(figures, patch, found, response)
     sound = [] if ground is None else _backscatter(found, ground, frequency, grazing)
@@ -149,7 +149,7 @@ def _of_lengths(
 ) -> ScannerResponse:
     """The response that the options state, and what the surface's lines were corrected for."""
     from lscan.roughness import MM_PER_CM, ScannerResponse
-    from lscan.roughness.scanner import corrected_blur_px, is_thickness_corrected
+    from lscan.roughness.instrument import corrected_blur_px, is_thickness_corrected
 
     if sheet_mm and is_thickness_corrected(surface):
         raise InputError(

@@ -1,46 +1,54 @@
 """Roughness of the seabed: spectrum, power law, ripples, moments, and where the instrument ends."""
 
 from lscan.roughness.analysis import Roughness, roughness_of
-from lscan.roughness.differences import Band
 from lscan.roughness.instrument import (
+    LineReading,
     ScannerResponse,
     corrected_spectrum,
     cutoff_per_cm,
+    line_reading,
     noise_density,
+    response_of,
 )
-from lscan.roughness.linereading import LineReading, line_reading
-from lscan.roughness.model import PowerLaw, from_profiles
-from lscan.roughness.moments import (
-    RoughnessMoments,
-    StructureFunction,
-    moments,
-    structure_function,
+from lscan.roughness.patch import MM_PER_CM, Patch, patch_of, patch_of_cells, patch_of_profiles
+from lscan.roughness.ripples import (
+    ProfileWaves,
+    RippleSpread,
+    RippleTrain,
+    find_ripples,
+    fit_waves,
+    profile_waves,
+    ripple_spread,
+    without_ripples,
 )
-from lscan.roughness.patch import MM_PER_CM, Patch, patch_of, patch_of_cells
-from lscan.roughness.profiles import patch_of_profiles
-from lscan.roughness.profilewaves import ProfileWaves, profile_waves
-from lscan.roughness.ripples import RippleTrain, find_ripples, fit_waves, without_ripples
-from lscan.roughness.scanner import response_of
 from lscan.roughness.scattering import (
+    SEDIMENTS,
     Backscatter,
+    Sediment,
     backscattering_strength,
     bragg_per_cm,
+    of_grain_size,
     predicted_backscatter,
     reflection,
+    sediment,
     structure_constant,
 )
-from lscan.roughness.sediments import SEDIMENTS, Sediment, of_grain_size, sediment
 from lscan.roughness.spectra import (
     PatchSpectrum,
+    PowerLaw,
     ProfileSpectrum,
     RingSpectrum,
+    RoughnessMoments,
+    StructureFunction,
     by_rings,
     capon_spectrum,
+    from_profiles,
+    moments,
     patch_spectrum,
     profile_spectrum,
+    structure_function,
 )
-from lscan.roughness.spread import RippleSpread, ripple_spread
-from lscan.roughness.whittle import PowerLawFit, fit_power_law, most_likely_law, usable_band
+from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, most_likely_law, usable_band
 
 __all__ = [
     "MM_PER_CM",

@@ -1,18 +1,48 @@
 """All that is asked of a patch's roughness, in the order in which each needs the last."""
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from math import log10
+from pathlib import Path
 from typing import Any
 
-from lscan.records import Progress
-from lscan.roughness.differences import Band
-from lscan.roughness.instrument import ScannerResponse, corrected_spectrum, cutoff_per_cm
-from lscan.roughness.moments import RoughnessMoments, moments
+import numpy as np
+from matplotlib.figure import Figure
+
+from lscan.errors import MeasurementError
+from lscan.figures.style import ACCENT, FIRST, HEIGHTS, MUTED, SECOND, WIDTH_IN, png, styled
+from lscan.files.containers import NetcdfArray, netcdf_bytes
+from lscan.files.disk import make_folder, write_atomically
+from lscan.records import Floats, Progress
+from lscan.roughness.instrument import (
+    ScannerResponse,
+    corrected_spectrum,
+    cutoff_per_cm,
+    noise_density,
+)
 from lscan.roughness.patch import Patch
-from lscan.roughness.ripples import RippleTrain, find_ripples, without_ripples
-from lscan.roughness.spectra import PatchSpectrum, patch_spectrum
-from lscan.roughness.spread import RippleSpread, ripple_spread
-from lscan.roughness.whittle import PowerLawFit, fit_power_law, most_likely_law, usable_band
+from lscan.roughness.ripples import (
+    RippleSpread,
+    RippleTrain,
+    find_ripples,
+    ripple_spread,
+    without_ripples,
+)
+from lscan.roughness.spectra import (
+    PatchSpectrum,
+    ProfileSpectrum,
+    RingSpectrum,
+    RoughnessMoments,
+    by_rings,
+    capon_spectrum,
+    detrended,
+    moments,
+    patch_spectrum,
+    profile_spectrum,
+    structure_function,
+)
+from lscan.roughness.whittle import Band, PowerLawFit, fit_power_law, most_likely_law, usable_band
+from lscan.version import __version__
 
 RIPPLES = (
     "wavelength_cm", "heading_deg", "height_cm",
@@ -122,3 +152,201 @@ def roughness_of(
     spectrum = patch_spectrum(patch)
     corrected = corrected_spectrum(spectrum, patch, response)
     return Roughness(moments(patch), train, spread, fit, cutoff, spectrum, corrected)
+
+
+# The NetCDF file of a patch's roughness.
+
+
+CAPON = 4  # stretches of a profile: as short as a wave of which the profile has four
+
+
+def save_roughness(path: Path, patch: Patch, found: Roughness) -> None:
+    """Write spectra and structure functions to a NetCDF-4 file, the numbers to its attributes.
+
+    W2 of the plane and its mean over rings; along x and along y W1 of the profiles by multitaper
+    and, for short stretches, by Capon, where enough of them are without a hole, and the structure
+    function.
+
+    Parameters
+    ----------
+    path : Path
+    patch : Patch
+    found : Roughness, of it
+
+    Raises
+    ------
+    InputError
+        The file cannot be written.
+    """
+    plane, rings, corrected = found.spectrum, by_rings(found.spectrum), by_rings(found.corrected)
+    arrays = {
+        "w2": _array(("ky", "kx"), plane.density_cm4, "cm4", "roughness spectrum"),
+        "w2_ring": _array(("k",), rings.density_cm4, "cm4", "its mean over rings"),
+        "w2_ring_corrected": _array(
+            ("k",), _at(rings.wavenumber_per_cm, corrected), "cm4",
+            "its mean over rings, less noise, over the response",
+        ),
+        "w2_ring_low": _array(("k",), rings.low_cm4, "cm4", "lower 95 % limit"),
+        "w2_ring_high": _array(("k",), rings.high_cm4, "cm4", "upper 95 % limit"),
+        "ky": _wavenumbers("ky", plane.along_y_per_cm.ravel(), "wavenumber along y"),
+        "kx": _wavenumbers("kx", plane.along_x_per_cm.ravel(), "wavenumber along x"),
+        "k": _wavenumbers("k", rings.wavenumber_per_cm, "wavenumber of the ring"),
+        **_along(patch, 0),
+        **_along(patch, 1),
+    }  # fmt: skip
+    notes = {"title": "Roughness of a surface", "source": f"lscan {__version__}", **found.figures()}
+    write_atomically(path, netcdf_bytes(arrays, notes))
+
+
+def _array(dimensions: tuple[str, ...], values: Floats, unit: str, long_name: str) -> NetcdfArray:
+    return NetcdfArray(dimensions, values, {"units": unit, "long_name": long_name})
+
+
+def _wavenumbers(name: str, values: Floats, long_name: str) -> NetcdfArray:
+    return _array((name,), values, "rad cm-1", long_name)
+
+
+def _along(patch: Patch, axis: int) -> dict[str, NetcdfArray]:
+    """Spectra of the profiles along an axis, and the structure function, by their names."""
+    name = "yx"[axis]
+    structure, distance, k = structure_function(patch, axis), f"distance_{name}", f"k{name}_profile"
+    values, words = structure.difference_cm2, f"structure function along {name}"
+    found = {
+        f"structure_{name}": _array((distance,), values, "cm2", words),
+        distance: _array((distance,), structure.distance_cm, "cm", f"distance along {name}"),
+    }
+    for method, spectrum in _profile_spectra(patch, axis).items():
+        words = f"W1 of profiles along {name}, two-sided, by {method}"
+        ending = "" if method == "multitaper" else "_capon"
+        found[f"w1_{name}{ending}"] = _array((k,), spectrum.density_cm3, "cm3", words)
+        found[k] = _wavenumbers(k, spectrum.wavenumber_per_cm, f"wavenumber along {name}")
+    return found
+
+
+def _profile_spectra(patch: Patch, axis: int) -> dict[str, ProfileSpectrum]:
+    """Those that the patch's holes allow, by method, at the same wavenumbers."""
+    found = {}
+    with suppress(MeasurementError):  # every profile has a hole
+        found["multitaper"] = profile_spectrum(patch, axis)
+    heights, seen = detrended(patch), patch.seen
+    if axis == 0:
+        heights, seen = heights.T, seen.T
+    count = heights.shape[1]
+    size: Floats = 2 * np.pi * np.fft.rfftfreq(count, patch.cell_cm).astype(float)[1:]
+    with suppress(MeasurementError):  # too few stretches are without a hole
+        found["Capon"] = capon_spectrum(heights, seen, patch.cell_cm, size, count // CAPON)
+    return found
+
+
+def _at(wavenumber_per_cm: Floats, rings: RingSpectrum) -> Floats:
+    """Rings at wavenumbers of other rings, NaN beyond: some rings have no value that is known."""
+    known = rings.wavenumber_per_cm, rings.density_cm4
+    return np.asarray(np.interp(wavenumber_per_cm, *known, left=np.nan, right=np.nan))
+
+
+# Figures of a patch's roughness: its spectrum with band and cutoff, its plane, its rose.
+
+
+SHOWN_DB = 60.0
+
+
+def save_figures(folder: Path, patch: Patch, found: Roughness, response: ScannerResponse) -> None:
+    """Write spectrum.png, plane.png and rose.png.
+
+    Parameters
+    ----------
+    folder : Path, made where it is missing
+    patch : Patch
+    found : Roughness, of it
+    response : ScannerResponse, it was found with
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    make_folder(folder)
+    drawn = {
+        "spectrum": draw_spectrum(patch, found, response),
+        "plane": draw_plane(found),
+        "rose": draw_rose(found),
+    }
+    for name, figure in drawn.items():
+        write_atomically(folder / f"{name}.png", png(figure))
+
+
+@styled
+def draw_spectrum(patch: Patch, found: Roughness, response: ScannerResponse) -> Figure:
+    """W2 over rings of wavenumbers: measured, fitted, the instrument's noise, and the cutoff.
+
+    Parameters
+    ----------
+    patch : Patch
+    found : Roughness, of it
+    response : ScannerResponse, it was found with
+    """
+    figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    rings, corrected, fit = by_rings(found.spectrum), by_rings(found.corrected), found.fit
+    axes.fill_between(
+        rings.wavenumber_per_cm, rings.low_cm4, rings.high_cm4, color=SECOND, alpha=0.2
+    )
+    axes.plot(rings.wavenumber_per_cm, rings.density_cm4, color=SECOND, label="measured, 95 %")
+    known = corrected.wavenumber_per_cm <= found.cutoff_per_cm
+    axes.plot(corrected.wavenumber_per_cm[known], corrected.density_cm4[known],
+              color=ACCENT, label="less noise, over the response")  # fmt: skip
+    size = np.geomspace(fit.band.low_per_cm, fit.band.high_per_cm, 100)
+    law = fit.law.density(0 * size, size)
+    axes.plot(size, law, color=FIRST, label=f"power law, $\\gamma_2$ = {fit.law.gamma2:.2f}")
+    passed = response(size, 0 * size)
+    axes.plot(size, law * passed + noise_density(patch), color=FIRST, linestyle=":",
+              label="as the instrument shows it")  # fmt: skip
+    if patch.noise_cm2 > 0:
+        axes.axhline(noise_density(patch), color=MUTED, linestyle="--", label="noise")
+    if found.cutoff_per_cm < patch.nyquist_per_cm:
+        axes.axvline(found.cutoff_per_cm, color=ACCENT, label="cutoff")
+    axes.set(xscale="log", yscale="log", xlabel="wavenumber, rad/cm", ylabel="$W_2$, cm$^4$")
+    axes.legend(loc="lower left", fontsize=7)
+    return figure
+
+
+@styled
+def draw_plane(found: Roughness) -> Figure:
+    """W2 over the plane of wavenumbers, dB below its largest value.
+
+    Parameters
+    ----------
+    found : Roughness
+    """
+    figure = Figure(figsize=(WIDTH_IN, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    spectrum = found.spectrum
+    level_db = 10 * np.log10(np.maximum(spectrum.density_cm4 / spectrum.density_cm4.max(), 1e-30))
+    x, y = spectrum.along_x_per_cm.ravel(), spectrum.along_y_per_cm.ravel()
+    drawn = axes.pcolormesh(x, y, level_db, cmap=HEIGHTS, vmin=-SHOWN_DB, vmax=0, rasterized=True)
+    figure.colorbar(drawn, ax=axes, label="dB")
+    axes.set(xlabel="along x, rad/cm", ylabel="along y, rad/cm", aspect="equal")
+    return figure
+
+
+@styled
+def draw_rose(found: Roughness) -> Figure:
+    """The share of the mean slope's square by direction: across which way crests run.
+
+    Parameters
+    ----------
+    found : Roughness
+    """
+    figure = Figure(figsize=(WIDTH_IN, 4.0), layout="constrained")
+    axes = figure.add_subplot(projection="polar")
+    spectrum = found.spectrum
+    y, x = np.broadcast_arrays(spectrum.along_y_per_cm, spectrum.along_x_per_cm)
+    size = np.hypot(y, x)
+    # The corners beyond Nyquist's circle are seen in some directions alone.
+    power = np.where(size < -spectrum.along_y_per_cm.min(), spectrum.density_cm4 * size**2, 0.0)
+    edges = np.linspace(-np.pi, np.pi, 37)
+    share, _ = np.histogram(np.arctan2(y, x), edges, weights=power)
+    middle, width = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    axes.bar(middle, share / max(float(share.sum()), 1e-300), width=width, color=SECOND)
+    axes.set_title("share of the mean square slope, direction from x", fontsize=9)
+    return figure

@@ -8,10 +8,10 @@ themselves, harmonics included, by least squares: holes do no harm.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, minimize_scalar
 
 from lscan.errors import MeasurementError
-from lscan.records import Floats
+from lscan.records import Floats, Ints
 from lscan.roughness.instrument import ScannerResponse
 from lscan.roughness.patch import Patch, wavenumbers
 from lscan.roughness.spectra import detrended
@@ -179,3 +179,187 @@ def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:
     if ratio[best] < ABOVE:
         return None
     return np.array([y[best[0], 0], x[0, best[1]]])
+
+
+# How much the ripples of a train differ from one another in wavelength and in heading.
+
+
+ALONG, ACROSS = 0.5, 0.7
+"""Semi-axes of the ellipse that a peak is looked for in, in the wavenumber: it ends before the
+patch's own plane on one side and the first harmonic on the other."""
+AROUND = 1.25  # the ellipse, larger so, whose rim says what there is beneath the peak
+PADDING = 2
+STEEP = 3.0  # spectral exponent of what is beneath: of it the middle counts, not the slope
+
+
+@dataclass(frozen=True)
+class RippleSpread:
+    """Standard deviations of the wavenumbers of a train's peak; 0 where a wave's would be as wide.
+
+    Attributes
+    ----------
+    relative : float, along the heading, in the wavenumber itself
+    heading_deg : float, degrees, of their headings
+    """
+
+    relative: float
+    heading_deg: float
+
+
+def ripple_spread(patch: Patch, train: RippleTrain) -> RippleSpread:
+    """The spread of a train of ripples: the width of its peak beyond that of a single wave.
+
+    The second moments of the tapered periodogram about the peak's own middle, less the power law
+    beneath it that the heights without the train have, less those of the train alone over the same
+    cells: by it the patch resolves, and what holes scatter of a wave is in both.
+    Spreads above about 0.2 or 15 degrees are understated: the peak is then wider than the ellipse.
+
+    Parameters
+    ----------
+    patch : Patch, of at least some four wavelengths
+    train : RippleTrain, found on it
+    """
+    rest = without_ripples(patch, train)
+    waves = replace(patch, z_cm=patch.z_cm - rest.z_cm)
+    whole, single, other = (_periodogram(each) for each in (patch, waves, rest))
+    peak = _Peak.of(train, whole.shape, patch.cell_cm)
+    spread = peak.variances(whole - peak.beneath(other)) - peak.variances(single)
+    along, across = np.sqrt(np.maximum(spread, 0.0))
+    return RippleSpread(float(along), float(np.degrees(across)))
+
+
+def _periodogram(patch: Patch) -> Floats:
+    z_cm = detrended(patch)
+    taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z_cm.shape))
+    shape = [PADDING * count for count in z_cm.shape]
+    power: Floats = np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2
+    return power
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """Wavenumbers (R, C) from that of a train, along its heading and across it, in its own.
+
+    far: 1 at the rim of the ellipse that counts as the peak.
+    """
+
+    along: Floats
+    across: Floats
+    far: Floats
+
+    @staticmethod
+    def of(train: RippleTrain, shape: tuple[int, ...], cell_cm: float) -> "_Peak":
+        y, x = wavenumbers((shape[0], shape[1]), cell_cm)
+        to_y, to_x = train.wavenumber_per_cm / np.sum(train.wavenumber_per_cm**2)
+        along, across = y * to_y + x * to_x - 1, x * to_y - y * to_x
+        return _Peak(along, across, (along / ALONG) ** 2 + (across / ACROSS) ** 2)
+
+    def beneath(self, power: Floats) -> Floats:
+        """(R, C) the power law, within the ellipse and its rim, that ``power`` has at the rim."""
+        known, rim = self.far <= AROUND**2, (self.far > 1) & (self.far <= AROUND**2)
+        law = np.hypot(1 + self.along, self.across, where=known, out=np.ones(known.shape)) ** -STEEP
+        # The median of an exponential distribution is ln 2 of its mean.
+        level: Floats = law * (np.median(power[rim] / law[rim]) / np.log(2))
+        return level
+
+    def variances(self, power: Floats) -> Floats:
+        """(2,) along the heading and across it, about the middle of ``power`` in the ellipse."""
+        inside = self.far <= 1
+        weight = power[inside] / max(float(power[inside].sum()), np.finfo(float).tiny)
+        places = np.stack([self.along[inside], self.across[inside]])
+        middle = (places @ weight)[:, None]
+        found: Floats = (places - middle) ** 2 @ weight
+        return found
+
+
+# Waves of one length whose crests bend: in each profile a sine of its own height and phase.
+
+
+LEAST_PROFILE_WAVES = 1.5  # in a profile: fewer cannot be told from its slope
+FINE_PROFILE = 4  # tried wavenumbers for each that a profile tells apart
+FEWEST = 8  # cells of a profile that counts
+SHARP = 1e-10  # relative tolerance of the wavenumber
+
+
+@dataclass(frozen=True)
+class ProfileWaves:
+    """The line spectrum of profiles that share one wavelength.
+
+    Attributes
+    ----------
+    wavelength_cm, sigma_wavelength_cm : float, cm, and its standard uncertainty where what is left
+        of the profiles is white
+    row : (P,) array, the patch's rows, or columns, that are its profiles
+    amplitude_cm : (P,) array, cm, of each profile's sine
+    sigma_amplitude_cm : (P,) array, cm
+    phase_rad : (P,) array, rad, of sin(K s + phase), s from the patch's edge
+    """
+
+    wavelength_cm: float
+    sigma_wavelength_cm: float
+    row: Ints
+    amplitude_cm: Floats
+    sigma_amplitude_cm: Floats
+    phase_rad: Floats
+
+
+def profile_waves(patch: Patch, axis: int = 1) -> ProfileWaves:
+    """The wavelength that a patch's profiles share, and the sine of each, by least squares.
+
+    Each profile has a height and a slope of its own.  Holes are left out.
+
+    Parameters
+    ----------
+    patch : Patch
+    axis : int, 0: profiles along y; 1: along x
+
+    Raises
+    ------
+    MeasurementError
+        No profile has eight cells that were measured.
+    """
+    z, seen = (patch.z_cm, patch.seen) if axis == 1 else (patch.z_cm.T, patch.seen.T)
+    rows = np.flatnonzero(seen.sum(axis=1) >= FEWEST)
+    if len(rows) == 0:
+        raise MeasurementError(f"roughness: no profile has {FEWEST} cells that were measured")
+    z, weight = z[rows], seen[rows].astype(float)
+    s = (np.arange(z.shape[1]) + 0.5) * patch.cell_cm
+    length = z.shape[1] * patch.cell_cm
+
+    def fitted(k: float) -> tuple[Floats, Floats, Floats]:
+        """(P, 4) coefficients, (P, 4, 4) normal matrices, and (P,) squares that are left."""
+        design = np.stack([np.ones_like(s), s - length / 2, np.cos(k * s), np.sin(k * s)])
+        normal = np.einsum("as,ps,bs->pab", design, weight, design)
+        right = np.einsum("as,ps->pa", design, weight * z)
+        found = np.linalg.solve(normal, right[..., np.newaxis])[..., 0]
+        left = ((weight * (z - found @ design)) ** 2).sum(axis=1)
+        return found, normal, left
+
+    def squares(k: float) -> float:
+        return float(fitted(k)[2].sum())
+
+    step = 2 * np.pi / length / FINE_PROFILE
+    tried = np.arange(LEAST_PROFILE_WAVES * FINE_PROFILE * step, 0.9 * patch.nyquist_per_cm, step)
+    best = tried[int(np.argmin([squares(k) for k in tried]))]
+    k = float(
+        minimize_scalar(squares, bounds=(best - step, best + step), method="bounded",
+                        options={"xatol": SHARP * best}).x
+    )  # fmt: skip
+    found, normal, left = fitted(k)
+    freedom = weight.sum() - found.size - 1
+    variance = float(left.sum() / freedom)
+    h = 1e-3 * step
+    curvature = (squares(k + h) - 2 * squares(k) + squares(k - h)) / h**2 / 2
+    cosine, sine = found[:, 2], found[:, 3]
+    own = np.linalg.inv(normal)
+    amplitude = np.hypot(cosine, sine)
+    way = np.stack([cosine, sine], axis=1) / np.maximum(amplitude, 1e-300)[:, np.newaxis]
+    spread = np.einsum("pa,pab,pb->p", way, own[:, 2:, 2:], way)
+    return ProfileWaves(
+        wavelength_cm=2 * np.pi / k,
+        sigma_wavelength_cm=2 * np.pi / k**2 * float(np.sqrt(variance / max(curvature, 1e-300))),
+        row=rows,
+        amplitude_cm=amplitude,
+        sigma_amplitude_cm=np.sqrt(variance * spread),
+        phase_rad=np.arctan2(cosine, sine),
+    )

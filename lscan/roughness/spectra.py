@@ -5,12 +5,14 @@ is laid over what was measured, so that none invents power, but it leaks more.
 """
 
 from dataclasses import dataclass
+from math import atan2, exp, gamma, hypot, pi, sqrt
 
 import numpy as np
+from scipy.signal import correlate
 from scipy.special import chdtri
 
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Floats, Mask
+from lscan.records import Floats, Ints, Mask
 from lscan.roughness.patch import FEWEST, Patch, wavenumbers
 
 TAPERS = 3
@@ -227,3 +229,212 @@ def _without_slope(profiles: Floats) -> Floats:
     along = np.arange(profiles.shape[1]) - (profiles.shape[1] - 1) / 2
     slopes = profiles @ along / (along @ along)
     return np.asarray(profiles - profiles.mean(axis=1, keepdims=True) - np.outer(slopes, along))
+
+
+# Models of a roughness spectrum: a power law, the same in all directions or stretched.
+#
+# A spectrum W2(K) is the density of mean square height over the plane of the wavenumber vector K,
+# rad/cm: its integral over all of the plane is the mean square height.  It is in cm^4.
+
+
+REFERENCE_CM = 1.0
+"""Length h0 that makes K dimensionless in a power law (APL-UW TR 9407, sec. IV)."""
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """W2(K) = w2 / (h0 k)^gamma2, where k² = K' M K and M stretches the plane without its area.
+
+    M is the exponential of [[a, b], [b, -a]]: for a = b = 0 the law is the same in all directions.
+
+    Attributes
+    ----------
+    gamma2 : float, spectral exponent
+    w2_cm4 : float, cm^4, spectral strength: W2 at k = 1 rad/cm
+    stretch : (float, float), a and b
+
+    References
+    ----------
+    Applied Physics Laboratory, APL-UW TR 9407 (1994), sec. IV; Jackson & Richardson, High-Frequency
+    Seafloor Acoustics (Springer 2007), ch. 6.
+
+    Examples
+    --------
+    >>> float(PowerLaw(3.0, 0.004).density(0.0, 2.0))
+    0.0005
+    """
+
+    gamma2: float
+    w2_cm4: float
+    stretch: tuple[float, float] = (0.0, 0.0)
+
+    def density(self, along_y: Floats | float, along_x: Floats | float) -> Floats:
+        """W2 in cm^4 at wavenumbers; 0 at K = 0, where a power law has none.
+
+        Parameters
+        ----------
+        along_y, along_x : array or float, rad/cm, components of K
+        """
+        a, b = self.stretch
+        size = hypot(a, b)
+        steep = np.sinh(size) / size if size else 1.0
+        square = np.cosh(size) * (np.square(along_x) + np.square(along_y))
+        square = square + steep * (
+            a * (np.square(along_x) - np.square(along_y)) + 2 * b * np.multiply(along_x, along_y)
+        )
+        with np.errstate(divide="ignore"):
+            found = self.w2_cm4 * (REFERENCE_CM**2 * square) ** (-self.gamma2 / 2)
+        return np.where(square > 0, found, 0.0)[()]
+
+    @property
+    def ratio(self) -> float:
+        """How many times longer features are across the heading than along it."""
+        return exp(hypot(*self.stretch))
+
+    @property
+    def heading_deg(self) -> float:
+        """From x towards y, degrees of 0 to 180: the direction in which the surface is roughest."""
+        a, b = self.stretch
+        return float(np.degrees(atan2(-b, -a) / 2) % 180)
+
+    @property
+    def one_dimensional(self) -> tuple[float, float]:
+        """gamma1 and w1 in cm³ of profiles: W1(k) = w1 / (h0 k)^gamma1, -inf < k < inf.
+
+        Of the law that is the same in all directions: the integral of W2 over the other component.
+
+        References
+        ----------
+        Jackson & Richardson (2007), ch. 6: W1 and W2 of an isotropic surface.
+        """
+        share = sqrt(pi) * gamma((self.gamma2 - 1) / 2) / gamma(self.gamma2 / 2)
+        return self.gamma2 - 1, self.w2_cm4 * share / REFERENCE_CM
+
+
+def from_profiles(gamma1: float, w1_cm3: float) -> PowerLaw:
+    """The law, the same in all directions, whose profiles have a spectrum w1 / (h0 k)^gamma1.
+
+    Parameters
+    ----------
+    gamma1 : float, above 0
+    w1_cm3 : float, cm³, of the two-sided spectrum of a profile
+
+    Examples
+    --------
+    >>> law = from_profiles(*PowerLaw(3.2, 0.01).one_dimensional)
+    >>> round(law.gamma2, 12), round(law.w2_cm4, 12)
+    (3.2, 0.01)
+    """
+    _, unit = PowerLaw(gamma1 + 1, 1.0).one_dimensional
+    return PowerLaw(gamma1 + 1, w1_cm3 / unit)
+
+
+# Moments of a patch: rms height and slope, skewness, structure function, correlation length.
+
+
+@dataclass(frozen=True)
+class RoughnessMoments:
+    """Moments of a patch less its plane; what its noise adds to a mean square is taken off.
+
+    Attributes
+    ----------
+    rms_height_cm : float, cm
+    rms_slope_y, rms_slope_x : float, of differences of neighbouring cells
+    skewness : float, of the heights; that of their noise is none
+    correlation_length_cm : float, cm, at which the autocovariance has fallen to 1/e of the mean
+        square; NaN where it does not within half of the patch
+    """
+
+    rms_height_cm: float
+    rms_slope_y: float
+    rms_slope_x: float
+    skewness: float
+    correlation_length_cm: float
+
+
+@dataclass(frozen=True)
+class StructureFunction:
+    """Mean squared difference of heights against their distance along an axis.
+
+    Attributes
+    ----------
+    distance_cm : (L,) array, cm
+    difference_cm2 : (L,) array, cm²; what the points' noise adds is taken off
+    pairs : (L,) array, of measured cells that far apart
+    """
+
+    distance_cm: Floats
+    difference_cm2: Floats
+    pairs: Ints
+
+
+def moments(patch: Patch) -> RoughnessMoments:
+    """The moments of a patch.
+
+    Parameters
+    ----------
+    patch : Patch
+
+    Raises
+    ------
+    MeasurementError
+        The noise is as large as the roughness.
+    """
+    z = detrended(patch)
+    heights = z[patch.seen]
+    square = float((heights**2).mean()) - patch.points_noise_cm2
+    if square <= 0:
+        raise MeasurementError(
+            f"roughness: the heights' rms of {np.sqrt((heights**2).mean()):.3g} cm is no more than "
+            f"their noise, {np.sqrt(patch.points_noise_cm2):.3g} cm"
+        )
+    structures = [structure_function(patch, axis) for axis in (0, 1)]
+    slopes = [np.sqrt(max(one.difference_cm2[0], 0.0)) / patch.cell_cm for one in structures]
+    return RoughnessMoments(
+        rms_height_cm=float(np.sqrt(square)),
+        rms_slope_y=float(slopes[0]),
+        rms_slope_x=float(slopes[1]),
+        skewness=float((heights**3).mean() / square**1.5),
+        correlation_length_cm=_correlation_length(structures, square),
+    )
+
+
+def structure_function(patch: Patch, axis: int) -> StructureFunction:
+    """Of a patch less its plane, up to half of its length; pairs with a hole do not count.
+
+    Parameters
+    ----------
+    patch : Patch
+    axis : int, 0: along y, 1: along x
+    """
+    z, seen = detrended(patch), patch.seen.astype(float)
+    if axis == 0:
+        z, seen = z.T, seen.T
+    count = z.shape[1]
+    reach = slice(count, count + count // 2)  # lags from 1
+    total, pairs = np.zeros(count // 2), np.zeros(count // 2)
+    for heights, mask in zip(z, seen, strict=True):
+        squares = correlate(heights**2, mask) + correlate(mask, heights**2)
+        total += (squares - 2 * correlate(heights, heights))[reach]
+        pairs += np.rint(correlate(mask, mask))[reach]
+    known = pairs > 0
+    distance = patch.cell_cm * np.arange(1, count // 2 + 1)
+    # Cells between the same two points have part of their noise in common.
+    apart = np.arange(1, count // 2 + 1) / (patch.points_cells if axis == 1 else 1.0)
+    noise = 2 * patch.points_noise_cm2 * np.minimum(apart, 1.0)
+    mean = np.maximum(total[known], 0.0) / pairs[known] - noise[known]
+    return StructureFunction(distance[known], mean, pairs[known].astype(np.int64))
+
+
+def _correlation_length(structures: list[StructureFunction], square_cm2: float) -> float:
+    """cm, the mean over both axes of where the structure function reaches 2 (1 - 1/e) squares."""
+    found = []
+    for one in structures:
+        beyond = np.flatnonzero(one.difference_cm2 >= 2 * (1 - np.exp(-1)) * square_cm2)
+        if not len(beyond):
+            return float("nan")
+        k = int(beyond[0])
+        steps = np.r_[0.0, one.difference_cm2[: k + 1]][-2:]
+        places = np.r_[0.0, one.distance_cm[: k + 1]][-2:]
+        found.append(np.interp(2 * (1 - np.exp(-1)) * square_cm2, steps, places))
+    return float(np.mean(found))

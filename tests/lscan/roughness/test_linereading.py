@@ -9,8 +9,7 @@ from lscan.config.rig import NoiseSection, SheetSection, StripeSection, load_rig
 from lscan.errors import InputError
 from lscan.records import Status, Surface
 from lscan.roughness import ScannerResponse, line_reading, response_of
-from lscan.roughness.linereading import AMPLITUDE_PX
-from lscan.roughness.scanner import corrected_blur_px
+from lscan.roughness.instrument import AMPLITUDE_PX, corrected_blur_px
 from lscan.surface.sheetresponse import transfer
 
 SHEET_PX, BLUR_PX, PEAK_DN = 1.2, 0.7, 120.0

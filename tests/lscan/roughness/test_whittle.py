@@ -11,8 +11,8 @@ import lscan.roughness.whittle as module
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask
 from lscan.roughness import Band, PowerLaw, PowerLawFit, fit_power_law
-from lscan.roughness.differences import CovarianceSum, differences_of
 from lscan.roughness.patch import Patch
+from lscan.roughness.whittle import CovarianceSum, differences_of
 
 CELL_CM = 0.1
 SIDE = 48
