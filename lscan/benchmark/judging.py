@@ -5,21 +5,37 @@ by case.
 """
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields, replace
 from heapq import nlargest
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from scipy.special import erf
 
-from lscan.errors import InputError
-from lscan.records import Floats, Ints, Mask, Status, has_value
+from lscan.board import read_board
+from lscan.calibration.calibrate import calibrate
+from lscan.calibration.check import carried
+from lscan.calibration.planemap import PlaneMap, find_solver, joined_marks
+from lscan.config.board import Board
+from lscan.config.documents import Document, check, merge, read_document
+from lscan.config.plugins import find_plugin_or_function, names_code, raised
+from lscan.config.rig import OpticsSection, Rig
+from lscan.config.scenes import included_file
+from lscan.config.targets import GroovedBlock, Sandwave
+from lscan.errors import InputError, LscanError
+from lscan.measure import groove_dimensions
+from lscan.pipeline import build_surface, correct, finish
+from lscan.records import BoardReading, Bytes, Floats, Ints, Marks, Mask, Profile, Status, has_value
 from lscan.stripe import extract_stripe
-from lscan.suites import SuiteCase
+from lscan.stripe.extract import extract_stripes
+from lscan.suites import BoardCase, ScanCase, SuiteCase
+from lscan.surface.surface import Slice, sample, to_profiles
 
 OUTLYING = 3.0  # standard deviations of the line's width, within which is 99.7 % of its light
 SURE = 5.0  # stated sigmas: of a normal law a column in two million is beyond
-CLEAR = 3.0  # standard deviations of noise above the threshold: a line that must be found
+CLEAR_OF_NOISE = 3.0  # standard deviations of noise above the threshold: a line that must be found
 NEAR_PX = 6  # columns beside a line into which a lens spreads it
 WORST = 10
 BESIDE_PX = (16, 12)  # of a column's picture: to either side along the line, and across
@@ -168,7 +184,7 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
     truth = case.truth
     line = (truth.status == Status.OK) & (truth.multiple == 0)
     valued = has_value(stripe.status)
-    clear = line & (truth.height_dn > settings.threshold_dn + CLEAR * truth.noise_dn)
+    clear = line & (truth.height_dn > settings.threshold_dn + CLEAR_OF_NOISE * truth.noise_dn)
     both = line & valued
     error = np.where(both, stripe.centre_px - truth.centre_px, 0.0)
     sigma = np.maximum(stripe.sigma_px, 1e-9, where=both, out=np.ones(len(both)))
@@ -264,3 +280,385 @@ def reference_seconds() -> float:
     began = time.process_time()
     np.sort(picture, axis=0)
     return time.process_time() - began
+
+
+# Readers of control points and plane maps judged on a suite's pictures of the calibration board.
+#
+# Each coordinate of a mark, or of a place on the sheet, counts as a column of a line does: the
+# sums
+# are those of extractors, and so are the table and the comparison of two runs.
+
+
+READERS = "lscan.boardreaders"
+WRONG_PX = 2.0  # off, and a reader's mark is another thing: dots are four pixels wide and more
+WRONG_PITCHES = 0.1  # off, and a place of a map is wrong
+BoardReader = Callable[[Bytes, Board], BoardReading]
+MapSolver = Callable[[BoardReading, OpticsSection], PlaneMap]
+
+
+def judge_boards(
+    readers: Sequence[str],
+    maps: Sequence[str],
+    cases: Iterable[BoardCase],
+    step: Callable[[], None] = lambda: None,
+) -> tuple[list[JudgedExtractor], float]:
+    """Each reader, in px, and each plane map, in mm, on each picture of the board.
+
+    A map is solved from the control points that lscan's own reader finds.
+
+    Parameters
+    ----------
+    readers : sequence of str, names of the group lscan.boardreaders, or ``package.module:function``
+    maps : sequence of str, plane maps, such as polynomial-5, or ``package.module:function`` of a
+        reading and the optics
+    cases : iterable
+    step : callable, called after each case
+
+    Returns
+    -------
+    One record for each reader and map, and the median seconds of the reference workload.
+
+    Raises
+    ------
+    InputError
+        There is no such reader or map, or one fails other than by an error of lscan's.
+    """
+    reading = {name: cast(BoardReader, find_plugin_or_function(READERS, name)) for name in readers}
+    solving = {name: _map_solver(name) for name in maps}
+    sums: dict[str, dict[str, CaseSums]] = {name: {} for name in (*readers, *maps)}
+    reference = []
+    for case in cases:
+        reference.append(reference_seconds())
+        for name, reader in reading.items():
+            sums[name][case.name] = judge_reader(name, reader, case)
+        own, _ = (
+            _reader_result("read_board", read_board, case.picture, case.board)
+            if maps
+            else (None, 0.0)
+        )
+        for name, solver in solving.items():
+            sums[name][case.name] = judge_map(name, solver, own, case)
+        step()
+    judged = [
+        JudgedExtractor(
+            name, of, (), f"--boards {'--reader' if name in reading else '--map'} {name}"
+        )
+        for name, of in sums.items()
+    ]
+    return judged, float(np.median(reference or [np.nan]))
+
+
+def _map_solver(name: str) -> MapSolver:
+    if names_code(name):
+        return cast(MapSolver, find_plugin_or_function("lscan.planemaps", name))
+    return find_solver(name).solve
+
+
+def judge_reader(name: str, reader: BoardReader, case: BoardCase) -> CaseSums:
+    """The sums of one picture, px; none of its marks is found where the reader refuses.
+
+    Parameters
+    ----------
+    name : str, for errors
+    reader : callable
+    case : BoardCase
+    """
+    true = case.marks
+    found, seconds = _reader_result(name, reader, case.picture, case.board)
+    places, sigma = np.full_like(true.image_px, np.nan), np.full(len(true.status), np.nan)
+    if found is not None:
+        places, sigma = _all_marks(name, found, true)
+    shown = true.status == Status.OK
+    valued = np.isfinite(places[:, 0] + places[:, 1])
+    error = np.where(shown[:, np.newaxis], places - true.image_px, np.nan)
+    return coordinate_sums(shown, valued, error, np.column_stack([sigma, sigma]), WRONG_PX, seconds)
+
+
+def judge_map(
+    name: str, solve: MapSolver, reading: BoardReading | None, case: BoardCase
+) -> CaseSums:
+    """The sums of one picture, mm, of the map that is solved from what was read in it.
+
+    Parameters
+    ----------
+    name : str, for errors
+    solve : callable, of a reading and the optics
+    reading : BoardReading or None where none could be had
+    case : BoardCase
+    """
+    solved, seconds = None, 0.0
+    if reading is not None:
+        solved, seconds = _reader_result(name, solve, reading, case.optics)
+    return map_sums(solved, case, seconds)
+
+
+def map_sums(solved: PlaneMap | None, case: BoardCase, seconds: float) -> CaseSums:
+    """The sums of a plane map, mm, over the board between its outermost control points.
+
+    Parameters
+    ----------
+    solved : PlaneMap or None where none could be had
+    case : BoardCase
+    seconds : float, that it took
+    """
+    places, sigma = np.full_like(case.map_mm, np.nan), np.full_like(case.map_mm, np.nan)
+    if solved is not None:
+        answer = solved.to_plane(case.map_px)
+        known = answer.status == Status.OK
+        places[known], sigma[known] = answer.xz_mm[known], answer.sigma_mm[known]
+    whole = np.ones(len(places), dtype=bool)
+    valued = np.isfinite(places[:, 0] + places[:, 1])
+    limit = WRONG_PITCHES * case.board.grid.pitch_mm
+    return coordinate_sums(whole, valued, places - case.map_mm, sigma, limit, seconds)
+
+
+def _reader_result(name: str, tried: Callable[..., Any], *given: Any) -> tuple[Any, float]:
+    """What a callable returns, None where it refuses, and its seconds."""
+    began = time.process_time()
+    try:
+        found = tried(*given)
+    except LscanError:
+        found = None
+    except Exception as error:  # a stranger's may raise anything
+        raise InputError(f"{name} failed: {raised(error)}", where="bench") from error
+    return found, time.process_time() - began
+
+
+def _all_marks(name: str, found: BoardReading, true: Marks) -> tuple[Floats, Floats]:
+    """(N, 2) px and (N,) their sigmas, of control points and rulers' marks in the case's order."""
+    marks = joined_marks(found)
+    if len(marks.status) != len(true.status):
+        raise InputError(f"{name} gave another number of marks", where="bench",
+                         value=len(marks.status), allowed=len(true.status))  # fmt: skip
+    return np.where(marks.found[:, np.newaxis], marks.image_px, np.nan), marks.sigma_px
+
+
+def coordinate_sums(
+    shown: Mask, valued: Mask, error: Floats, sigma: Floats, limit: float, seconds: float
+) -> CaseSums:
+    """The sums over coordinates; a value of what is not shown is a ghost.
+
+    Parameters
+    ----------
+    shown, valued : (N,) array, whether a mark or point is to be seen, and whether it has a value
+    error, sigma : (N, C) array, px or mm, of its C coordinates
+    limit : float, of the error's length, beyond which a value is wrong
+    seconds : float, that it took
+    """
+    both = shown & valued
+    off = np.where(both[:, np.newaxis], error, 0.0)
+    spread = np.where(both[:, np.newaxis] & (sigma > 0), sigma, 1e-9)
+    z = np.abs(off) / spread
+    wrong = both & (np.linalg.norm(off, axis=1) > limit)
+    core = both & ~wrong
+    each = float(error.shape[1])
+    counts: Mapping[str, float] = {
+        "clear": each * shown.sum(),
+        "missed": each * (shown & ~valued).sum(),
+        "valued": each * both.sum(),
+        "honest": float((z[both] <= 3).sum()),
+        "outlying": each * wrong.sum(),
+        "sure": each * (z[wrong] > SURE).any(axis=1).sum(),
+        "core": each * core.sum(),
+        "error": float(off[core].sum()),
+        "square": float((off[core] ** 2).sum()),
+        "log_z": float(np.log(np.maximum(z[core], 1e-3)).sum()),
+        "dark": each * (~shown).sum(),
+        "ghosts": each * (~shown & valued).sum(),
+        "seconds": seconds,
+        "score": float((spread * normal_score(z))[core].sum()),
+    }
+    return CaseSums(**counts)
+
+
+# Whole chains judged on a suite's scans: from the board's picture to points, grooves and slices.
+#
+# Each coordinate counts as a column of a line does, as with boards: the sums are those of
+# extractors,
+# and so are the table and the comparison of two runs.
+
+
+CHAINS = ("paper/rig", "best/groove")
+"""That take part unless told otherwise: the paper's, and the best."""
+SECTIONS = ("stripe", "calibration", "sheet")
+"""What a chain is of a rig file; all else is the rig itself."""
+BOARD, POINTS, GROOVES, SLICES = PARTS = ("board", "points", "grooves", "slices")
+CLEAR_OF_THRESHOLD = 1.5  # times the threshold: a line that must be found, whatever the noise
+WRONG_MM = 1.0  # off, and a height or a length is wrong: what is to be measured to a millimetre
+
+
+def load_chain(path: str) -> Document:
+    """The sections of a rig file that say how pictures are worked on.
+
+    Parameters
+    ----------
+    path : str, of a TOML file, or the name of a scene; a file of the three sections alone will do
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it has none of them.
+    """
+    document = read_document(included_file(Path(), path))
+    chain = {name: document[name] for name in SECTIONS if name in document}
+    if not chain:
+        allowed = ", ".join(f"[{name}]" for name in SECTIONS)
+        raise InputError("has no section of a chain", where=path, allowed=allowed)
+    return chain
+
+
+def judge_chains(
+    chains: Sequence[str], cases: Iterable[ScanCase], step: Callable[[], None] = lambda: None
+) -> tuple[list[JudgedExtractor], float]:
+    """Each chain on each scan.
+
+    Parameters
+    ----------
+    chains : sequence of str, as of ``load_chain``
+    cases : iterable
+    step : callable, called after each case
+
+    Returns
+    -------
+    Of each chain one record for each of PARTS that the suite's scans have, named "CHAIN: PART", and
+    the median seconds of the reference workload.
+
+    Raises
+    ------
+    InputError
+        A chain is none, or names what is not there.
+    """
+    loaded = {name: load_chain(name) for name in chains}
+    sums: dict[tuple[str, str], dict[str, CaseSums]] = {
+        (name, part): {} for name in chains for part in PARTS
+    }
+    reference = []
+    for case in cases:
+        reference.append(reference_seconds())
+        for name, chain in loaded.items():
+            for part, of in judge_chain(name, chain, case).items():
+                sums[name, part][case.name] = of
+        step()
+    judged = [
+        JudgedExtractor(f"{name}: {part}", of, (), f"--chain {name}")
+        for (name, part), of in sums.items()
+        if of
+    ]
+    return judged, float(np.median(reference or [np.nan]))
+
+
+def judge_chain(name: str, chain: Document, case: ScanCase) -> dict[str, CaseSums]:
+    """The sums of one scan, mm, by part; nothing of a part is found where the chain refuses.
+
+    Parameters
+    ----------
+    name : str, of the chain, for errors
+    chain : mapping, sections that are laid over those of the case's rig
+    case : ScanCase
+
+    Raises
+    ------
+    InputError
+        A key of the chain is wrong.
+    """
+    rig = check(Rig, merge(case.rig.model_dump(exclude_unset=True), chain), where=name)
+    plane_map, board_s = _stage_result(_calibrated, case, rig)
+    profiles, line_s = _stage_result(_profiles, case, rig, plane_map)
+    sums = {
+        BOARD: map_sums(plane_map, case.board, board_s),
+        POINTS: _point_sums(profiles, rig, case, line_s),
+    }
+    if isinstance(rig.workpiece, GroovedBlock):
+        sums[GROOVES] = _groove_sums(profiles, rig.workpiece)
+    if isinstance(rig.workpiece, Sandwave):
+        sums[SLICES] = _slice_sums(profiles, rig, case)
+    return sums
+
+
+def _stage_result(stage: Callable[..., Any], *given: Any) -> tuple[Any, float]:
+    """What a stage returns, None where it refuses or has nothing to work on, and its seconds."""
+    if any(one is None for one in given):
+        return None, 0.0
+    began = time.process_time()
+    try:
+        found = stage(*given)
+    except InputError:
+        raise  # of what the chain says, not of the pictures
+    except LscanError:
+        found = None
+    return found, time.process_time() - began
+
+
+def _calibrated(case: ScanCase, rig: Rig) -> PlaneMap:
+    reading = read_board(case.board.picture, case.board.board, channel=rig.calibration.channel)
+    return carried(calibrate(reading, rig.calibration.plane_map, rig.optics).plane_map, rig)
+
+
+def _profiles(case: ScanCase, rig: Rig, plane_map: PlaneMap) -> list[Profile]:
+    stripes = extract_stripes([(frame, None) for frame in case.frames], rig.stripe)
+    return to_profiles(stripes, plane_map, list(rig.plan.positions_mm()))
+
+
+def _point_sums(
+    profiles: list[Profile] | None, rig: Rig, case: ScanCase, seconds: float
+) -> CaseSums:
+    """(x, z) of every column with a clear line, corrected for what the chain corrects for."""
+    line = case.status == Status.OK
+    clear = (
+        line
+        & (case.multiple == 0)
+        & (case.height_dn > CLEAR_OF_THRESHOLD * rig.stripe.threshold_dn)
+    )
+    clear &= _on_board(case)
+    dark: Mask = ~np.stack([beside_line(of) for of in line])
+    places = np.full_like(case.line_mm, np.nan)
+    sigma = np.full_like(case.line_mm, np.nan)
+    if profiles is not None:
+        surface = correct(build_surface(profiles, rig), rig)
+        places = surface.xyz_mm[..., ::2]
+        sigma = np.stack([surface.sigma_x_mm, surface.sigma_z_mm], axis=-1)
+    valued = np.isfinite(places[..., 0] + places[..., 1])
+    kept = clear | dark
+    error = places - case.line_mm
+    return coordinate_sums(clear[kept], valued[kept], error[kept], sigma[kept], WRONG_MM, seconds)
+
+
+def _on_board(case: ScanCase) -> Mask:
+    """(F, N) the points within the board, beyond which no map is known to hold."""
+    low, high = case.board.map_mm.min(axis=0), case.board.map_mm.max(axis=0)
+    with np.errstate(invalid="ignore"):
+        inside: Mask = ((case.line_mm >= low) & (case.line_mm <= high)).all(axis=-1)
+    return inside
+
+
+def _groove_sums(profiles: list[Profile] | None, piece: GroovedBlock) -> CaseSums:
+    """The block's dimensions."""
+    lengths, seconds = _stage_result(groove_dimensions, profiles, piece)
+    count = len(piece.dimensions_mm())
+    error, sigma = np.full((count, 1), np.nan), np.full((count, 1), np.nan)
+    if lengths is not None:
+        error[:, 0] = [length.error_mm for length in lengths.values()]
+        sigma[:, 0] = [length.sigma_mm for length in lengths.values()]
+    valued = np.isfinite(error[:, 0])
+    return coordinate_sums(np.ones(count, bool), valued, error, sigma, WRONG_MM, seconds)
+
+
+def _slice_sums(profiles: list[Profile] | None, rig: Rig, case: ScanCase) -> CaseSums:
+    """Heights along the slices, where the sandwave is lit and seen, its border left out."""
+    piece, (x, y, z) = rig.workpiece, case.slices_mm.T
+    assert isinstance(piece, Sandwave)
+    seen = case.slice_status == Status.OK
+    error, sigma = np.full((len(z), 1), np.nan), np.full((len(z), 1), np.nan)
+    cut, seconds = _stage_result(_slices, profiles, rig, case)
+    if cut is not None:
+        seen &= piece.inset_mm(x, y) >= cut.radius_mm  # beyond it, heights of the rim are in them
+        error[:, 0], sigma[:, 0] = cut.z_mm - z, cut.sigma_z_mm
+    kept = seen | (case.slice_status != Status.OK)
+    valued = np.isfinite(error[:, 0])
+    return coordinate_sums(seen[kept], valued[kept], error[kept], sigma[kept], WRONG_MM, seconds)
+
+
+def _slices(profiles: list[Profile], rig: Rig, case: ScanCase) -> Slice:
+    built = finish(build_surface(profiles, rig), rig)
+    built.require_alignment()
+    return sample(built.surface, case.slices_mm[:, :2])

@@ -1,24 +1,284 @@
-"""``lscan bench --suite``: extractors, what reads and maps boards, and chains, on a suite."""
+"""A suite's cases judged in several processes, a few at a time."""
 
 import math
 import os
+import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, astuple, dataclass
+from functools import lru_cache, partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
+from scipy.stats import wilcoxon
 
-from lscan.benchmark.against import LOG_Z
-from lscan.benchmark.boardjudging import judge_boards
-from lscan.benchmark.chainjudging import judge_chains
-from lscan.benchmark.extractors import THRESHOLD_DN, cases
-from lscan.benchmark.judging import CaseSums, JudgedExtractor, judge
-from lscan.benchmark.pictures import SHAPE, centres, draw
-from lscan.benchmark.sharing import judge_shared
+from lscan.acquisition.scan import require_guarded_main
+from lscan.benchmark.drawn import SHAPE, centres, draw, draw_worst
+from lscan.benchmark.judging import (
+    SUMS,
+    CaseSums,
+    JudgedExtractor,
+    judge,
+    judge_boards,
+    judge_chains,
+    worst_of,
+)
+from lscan.benchmark.methods import THRESHOLD_DN, cases
+from lscan.config.plugins import others_versions
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.records import Progress, Status
+from lscan.files.disk import make_folder, read_json, write_atomically, write_json
+from lscan.records import Floats, Progress, Status
 from lscan.stripe import find_extractor
 from lscan.suites import CaseTruth, SuiteCase, SuiteContent, find_suite, open_suite
+
+AT_ONCE = 20  # cases
+Part = tuple[list[JudgedExtractor], float]  # as ``judge`` returns it
+
+_opened = lru_cache(1)(open_suite)
+
+
+def judge_shared(
+    path: Path, names: Sequence[str], cases: Sequence[str], progress: Progress | None = None
+) -> Part:
+    """As ``judge``, by a process for each core.
+
+    Parameters
+    ----------
+    path : Path, of the suite
+    names : sequence of str, of extractors, whose modules other processes can import
+    cases : sequence of str, their names
+    progress : callable or None, called with (done, all) cases
+    """
+    require_guarded_main()
+    groups = [cases[first : first + AT_ONCE] for first in range(0, len(cases), AT_ONCE)]
+    parts: list[Part] = []
+    # None is forked: threads of OpenCV and BLAS may hold locks.
+    spawned = get_context("spawn")
+    with ProcessPoolExecutor(os.cpu_count(), spawned, _leave_ctrl_c) as pool:
+        for part in pool.map(partial(_judge_part, path, names), groups):
+            parts.append(part)
+            if progress is not None:
+                progress(min(len(parts) * AT_ONCE, len(cases)), len(cases))
+    judged = [_joined([part[0][n] for part in parts]) for n in range(len(names))]
+    return judged, float(np.median([reference_s for _, reference_s in parts]))
+
+
+def _judge_part(path: Path, names: Sequence[str], cases: Sequence[str]) -> Part:
+    suite = _opened(path)
+    return judge(names, (suite.case(case) for case in cases))
+
+
+def _joined(parts: Sequence[JudgedExtractor]) -> JudgedExtractor:
+    """What one extractor made of several groups of cases."""
+    sums = {case: one for part in parts for case, one in part.sums.items()}
+    worst = worst_of(column for part in parts for column in part.worst)
+    return JudgedExtractor(parts[0].extractor, sums, worst)
+
+
+def _leave_ctrl_c() -> None:
+    """Leave Ctrl-C, which a terminal sends to all processes, to the one that ends the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+# What got better or worse between two runs of one suite: a paired test, case by case.
+
+
+FALSE_ALARMS = 0.01  # probability that any figure of an extractor differs where nothing changed
+EQUAL = 1e-4  # a smaller difference is none: 0.01 % of an rms, less than a column
+
+
+def _log_rms(sums: CaseSums) -> float:
+    return 0.5 * float(np.log(max(sums.square / sums.core, 1e-12))) if sums.core else np.nan
+
+
+def _log_z(sums: CaseSums) -> float:
+    return sums.log_z / sums.core if sums.core else np.nan
+
+
+def _log_score(sums: CaseSums) -> float:
+    """Of stated sigmas, in rms errors: an accuracy that changes alone is the rms error's to say."""
+    return float(np.log(sums.score / sums.core)) - _log_rms(sums) if sums.score else np.nan
+
+
+FIGURES: Mapping[str, Callable[[CaseSums], float]] = {
+    "rms error": _log_rms,
+    "error in stated sigmas": _log_z,
+    "score of stated sigmas": _log_score,
+    "missed columns": lambda sums: sums.missed,
+    "columns without a line": lambda sums: sums.ghosts,
+    "wrong columns": lambda sums: sums.outlying,
+    "wrong columns that are sure": lambda sums: sums.sure,
+}
+"""Of a case; more is worse, but of the error in sigmas: too large and too small are both worse.
+
+The first three are logarithms, whose differences are ratios.
+"""
+_SIGMA = "error in stated sigmas"
+_RATIOS = ("rms error", _SIGMA, "score of stated sigmas")
+LOG_Z = -(np.euler_gamma + np.log(2)) / 2  # the mean of ln |z| where z is standard normal
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A figure that differs.
+
+    Attributes
+    ----------
+    extractor : str
+    figure : str, a key of FIGURES
+    worse : bool
+    change : float, of the cases in which it differs: the pseudo-median of the ratio less 1, or of
+        the difference in columns
+    p : float, probability of so much where nothing changed
+    cases : int, in which it differs at all
+    interval : tuple of float, of change, 95 %
+    """
+
+    extractor: str
+    figure: str
+    worse: bool
+    change: float
+    p: float
+    cases: int
+    interval: tuple[float, float]
+
+    @property
+    def in_words(self) -> str:
+        """One line."""
+        how = "worse" if self.worse else "better"
+        low, high = (self._size(end) for end in self.interval)
+        return (
+            f"{self.extractor}: {self.figure} {how}: {self._size(self.change)} ({low} to {high}), "
+            f"in {self.cases} cases, p = {self.p:.1g}"
+        )
+
+    def _size(self, change: float) -> str:
+        size, more = abs(change), change > 0
+        if self.figure not in _RATIOS:
+            return f"{size:.2g} columns {'more' if more else 'fewer'}"
+        if size >= 1:
+            return f"{1 + change:.3g} times as large"
+        return f"{100 * size:.{0 if size > 0.1 else 1}f} % {'larger' if more else 'smaller'}"
+
+
+def differences(
+    extractor: str, now: Mapping[str, CaseSums], before: Mapping[str, CaseSums]
+) -> list[Difference]:
+    """What differs on the cases that both have, the probability of any false alarm being 1 %.
+
+    Parameters
+    ----------
+    extractor : str, for the records
+    now, before : mappings, sums by case
+
+    References
+    ----------
+    Wilcoxon, Individual comparisons by ranking methods, Biometrics Bulletin 1 (1945), cases without
+    a difference left out; Bonferroni's correction for the number of figures.  That 5 % of the cases
+    got a little worse and all others stayed as they are is then seen, too.  The pseudo-median
+    belongs to that test (Hodges and Lehmann, Estimates of location based on rank tests, Annals of
+    Mathematical Statistics 34 (1963)): its sign is that of the rank sum.
+    """
+    common = sorted(now.keys() & before.keys())
+    found = []
+    for figure, of in FIGURES.items():
+        pairs = np.array([[of(now[case]), of(before[case])] for case in common]).reshape(-1, 2)
+        difference = pairs[:, 0] - pairs[:, 1]
+        difference = difference[np.abs(difference) > EQUAL]  # NaN, too, is left out
+        p = _probability(difference)
+        if p < FALSE_ALARMS / len(FIGURES):
+            low, typical, high = pseudo_median(difference)
+            worse = typical > 0
+            if figure == _SIGMA:
+                off = np.abs(np.nanmean(pairs, axis=0) - LOG_Z)
+                worse = bool(off[0] > off[1])
+            if figure in _RATIOS:
+                low, typical, high = np.expm1([low, typical, high]).tolist()
+            found.append(
+                Difference(extractor, figure, worse, typical, p, len(difference), (low, high))
+            )
+    return found
+
+
+def between(sums: Mapping[str, Mapping[str, CaseSums]]) -> list[Difference]:
+    """What differs between the first of several methods and each other, on the same cases.
+
+    Parameters
+    ----------
+    sums : mapping, by method and case
+    """
+    (first, own), *others = sums.items()
+    return [one for name, of in others for one in differences(f"{name} beside {first}", of, own)]
+
+
+def before_and_after(now: Mapping[str, CaseSums], before: Mapping[str, CaseSums]) -> str:
+    """Bias and rms error of two runs, of the columns that count, and the cases changed most.
+
+    Parameters
+    ----------
+    now, before : mappings, sums by case; counted are the clear columns of the cases of both with a
+        value within three widths of the line
+    """
+    common = [case for case in sorted(now) if case in before and now[case].core]
+    common = [case for case in common if before[case].core]
+    if not common:
+        return "no case of both has a column that counts"
+
+    def rms(of: Mapping[str, CaseSums], cases: Sequence[str]) -> float:
+        return float(np.sqrt(sum(of[c].square for c in cases) / sum(of[c].core for c in cases)))
+
+    bias = [
+        sum(of[c].error for c in common) / sum(of[c].core for c in common) for of in (before, now)
+    ]
+    changed = sorted(common, key=lambda case: abs(_log_rms(now[case]) - _log_rms(before[case])))
+    most = ", ".join(
+        f"{case} ({rms(before, [case]):.3f} to {rms(now, [case]):.3f} px)"
+        for case in changed[:-4:-1]
+    )
+    return (
+        f"bias {bias[0]:+.4f} to {bias[1]:+.4f} px, rms error {rms(before, common):.4f} to "
+        f"{rms(now, common):.4f} px, of {sum(now[case].core for case in common):.0f} columns in "
+        f"{len(common)} cases; changed most: {most}"
+    )
+
+
+def _probability(difference: Floats) -> float:
+    """Two-sided, of the signed-rank test; 1 where nothing differs."""
+    if len(difference) == 0:
+        return 1.0
+    return float(wilcoxon(difference).pvalue)
+
+
+def pseudo_median(values: Floats) -> tuple[float, float, float]:
+    """The median of the means of all pairs of values, each with itself among them.
+
+    Parameters
+    ----------
+    values : (N,) array, 1 at least
+
+    Returns
+    -------
+    tuple of float
+        The lower end of its 95 % interval, itself, the upper end: that of the values which the
+        signed-rank test does not reject.  Of fewer than six values the ends are the outermost.
+
+    References
+    ----------
+    Hollander, Wolfe and Chicken, Nonparametric Statistical Methods, 3rd edition, section 3.3.
+    """
+    one, other = np.triu_indices(len(values))
+    means, n = np.sort((values[one] + values[other]) / 2), len(values)
+    spread = np.sqrt(n * (n + 1) * (2 * n + 1) / 24)
+    left_out = max(int(n * (n + 1) / 4 - ndtri(0.975) * spread), 0)
+    return float(means[left_out]), float(np.median(means)), float(means[-1 - left_out])
+
+
+# ``lscan bench --suite``: extractors, what reads and maps boards, and chains, on a suite.
+
 
 DRAWN = "drawn"
 """The suite of drawn lines, which needs no file."""
@@ -276,3 +536,155 @@ def row_of(
 
 def _share(part: float, whole: float) -> float:
     return part / whole if whole else math.nan
+
+
+# Runs on suites kept in files: bench.json, and what differs from one.
+
+
+VERSION = 1
+MOST_SAVED_BYTES = 2**28
+_GROUPS = ("lscan.extractors", "lscan.boardreaders", "lscan.planemaps")
+
+
+@dataclass(frozen=True)
+class SavedRun:
+    """What a bench.json says.
+
+    Attributes
+    ----------
+    suite : str, the suite's identity: runs of another are not comparable
+    sums : mapping, by method and case
+    rows : sequence of mappings, of its table, as SuiteRow
+    """
+
+    suite: str
+    sums: Mapping[str, Mapping[str, CaseSums]]
+    rows: Sequence[Mapping[str, Any]]
+
+
+def write_suite_run(folder: Path, run: SuiteRun, by: Sequence[str]) -> dict[str, Any]:
+    """Write bench.json, and the worst columns of each extractor as a picture.
+
+    Parameters
+    ----------
+    folder : Path, made where it is missing
+    run : SuiteRun
+    by : sequence of str, the axes of the table in bench.json
+
+    Returns
+    -------
+    What bench.json holds.
+    """
+    make_folder(folder)
+    content = saved_run(run, by)
+    write_json(folder / "bench.json", content)
+    for one in run.judged:
+        if one.worst:
+            name = one.extractor.replace(":", ".")
+            write_atomically(folder / f"worst-{name}.png", draw_worst(one))
+    return content
+
+
+def saved_run(run: SuiteRun, by: Sequence[str] = ()) -> dict[str, Any]:
+    """What bench.json holds of a run, of JSON types; ``compare_saved`` takes such a file.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    by : sequence of str, the axes of its table
+    """
+    return {
+        "version": VERSION,
+        "suite": run.identity,
+        "packages": {
+            package: version
+            for one in run.judged
+            for group in _GROUPS
+            for package, version in others_versions(group, one.extractor).items()
+        },
+        "rows": [asdict(row) for row in suite_rows(run, by)],
+        "sums": list(SUMS),
+        "extractors": {
+            one.extractor: {case: list(astuple(sums)) for case, sums in one.sums.items()}
+            for one in run.judged
+        },
+    }
+
+
+def read_saved(file: Path) -> SavedRun:
+    """The saved run in a file.
+
+    Parameters
+    ----------
+    file : Path, a bench.json
+
+    Raises
+    ------
+    InputError
+        The file is none.
+    """
+    content = read_json(file, MOST_SAVED_BYTES)
+    try:
+        known = [list(SUMS), list(SUMS[:-1])]  # runs of before have no scores
+        if content["version"] != VERSION or content["sums"] not in known:
+            raise ValueError
+        sums = {
+            str(name): {case: CaseSums(*map(float, of)) for case, of in cases.items()}
+            for name, cases in content["extractors"].items()
+        }
+        rows = [
+            {**row, "cases": int(row["cases"]), "extractor": str(row["extractor"]),
+             "time": None if row["time"] is None else float(row["time"])}
+            for row in content["rows"]
+        ]  # fmt: skip
+        return SavedRun(str(content["suite"]), sums, rows)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        allowed = "a bench.json of lscan bench --suite"
+        raise InputError("is no saved run", where=file, allowed=allowed) from error
+
+
+def compare_saved(run: SuiteRun, file: Path) -> list[Difference]:
+    """What differs from a saved run of the same suite, for each method that both have.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    file : Path, a bench.json
+
+    Raises
+    ------
+    InputError
+        The file is none, or of another suite, or has none of the methods.
+    """
+    found = [differences(name, now, before) for name, now, before in _in_both(run, file)]
+    return [one for of in found for one in of]
+
+
+def changes_in_words(run: SuiteRun, file: Path) -> list[str]:
+    """A line for each method of a run and of a saved run: its bias and rms error in both.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    file : Path, a bench.json
+
+    Raises
+    ------
+    InputError
+        As ``compare_saved``.
+    """
+    return [f"{name}: {before_and_after(now, old)}" for name, now, old in _in_both(run, file)]
+
+
+def _in_both(
+    run: SuiteRun, file: Path
+) -> list[tuple[str, Mapping[str, CaseSums], Mapping[str, CaseSums]]]:
+    """Of the methods that a run and a saved run have, name, sums of the run, and saved sums."""
+    saved = read_saved(file)
+    if saved.suite != run.identity:
+        raise InputError("is of another suite", where=file, value=saved.suite, allowed=run.identity)
+    both = [one for one in run.judged if one.extractor in saved.sums]
+    if not both:
+        allowed = ", ".join(saved.sums)
+        raise InputError("has none of these extractors", where=file, allowed=allowed)
+    return [(one.extractor, one.sums, saved.sums[one.extractor]) for one in both]

@@ -65,7 +65,7 @@ def bench(
     The exit code is 1 where one is out of the limits that every method must keep to, or with
     --against where one is worse than it was.
     """
-    from lscan.benchmark.chainjudging import CHAINS
+    from lscan.benchmark.judging import CHAINS
     from lscan.benchmark.run import MAPS, registered_extractors
     from lscan.benchmark.suiterun import run_boards, run_chains, run_suite
 
@@ -119,8 +119,7 @@ def _bench_drawn(
     seed: int,
     json: bool,
 ) -> None:
-    from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells
-    from lscan.benchmark.run import run_bench
+    from lscan.benchmark.run import EXTRACTOR_COLUMNS, MAP_COLUMNS, run_bench, table_cells
 
     with progress_bar("bench") as progress:
         done = run_bench(output, extractors, maps, quick, seed, progress)
@@ -151,9 +150,14 @@ def _end_with_run(
     json: bool,
 ) -> None:
     """Write and print what became of a suite's cases, and what differs from a saved run."""
-    from lscan.benchmark.against import between
-    from lscan.benchmark.savedrun import changes_in_words, compare_saved, write_suite_run
-    from lscan.benchmark.suiterun import suite_rows, usual_axes
+    from lscan.benchmark.suiterun import (
+        between,
+        changes_in_words,
+        compare_saved,
+        suite_rows,
+        usual_axes,
+        write_suite_run,
+    )
 
     suite_rows(run, by or ())  # refuses an unknown axis before anything is written
     changed = compare_saved(run, against) if against is not None else []
@@ -188,7 +192,7 @@ def leaderboard(
     json: Json = False,
 ) -> None:
     """Rank what saved runs on suites say, on a page of its own: a table for each suite."""
-    from lscan.benchmark.leaderboard import write_leaderboard
+    from lscan.benchmark.run import write_leaderboard
 
     page = write_leaderboard(files, output)
     if json:

@@ -158,7 +158,7 @@ def assert_no_worse(
     """
 
     def held(result: SuiteRun, baseline: str | Path) -> None:
-        from lscan.benchmark.savedrun import (
+        from lscan.benchmark.suiterun import (
             changes_in_words,
             compare_saved,
             saved_run,

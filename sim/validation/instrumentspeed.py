@@ -12,7 +12,7 @@ import numpy as np
 
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import scan
-from lscan.benchmark.timing import timed
+from lscan.benchmark.methods import timed
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import RigFile
 from lscan.pipeline import READ_AT_ONCE, calibrate_run, reconstruct

@@ -9,7 +9,7 @@ import numpy as np
 
 from lscan.acquisition.scan import open_devices
 from lscan.acquisition.writer import PNG
-from lscan.benchmark.timing import timed
+from lscan.benchmark.methods import timed
 from lscan.config.rig import RigFile
 from lscan.files.pictures import encoded
 from lscan.records import Floats

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.acquisition.scan import scan
-from lscan.benchmark.timing import median_seconds, timed
+from lscan.benchmark.methods import median_seconds, timed
 from lscan.config.rig import RigFile, StripeSection, load_rig
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask

@@ -4,8 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from lscan.benchmark.boards import BOARDS, IMAGE_SIZE, OPTICS, image_px, seen_marks
-from lscan.benchmark.pictures import LineCase, centres, draw
+from lscan.benchmark.drawn import (
+    BOARDS,
+    IMAGE_SIZE,
+    OPTICS,
+    LineCase,
+    centres,
+    draw,
+    image_px,
+    seen_marks,
+)
 from lscan.config.rig import NoiseSection, Rig, StripeSection
 from lscan.records import Status
 from lscan.suites import (

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lscan.benchmark.timing import timed
+from lscan.benchmark.methods import timed
 from lscan.board import read_board
 from lscan.board.chessboard import read_chessboard
 from lscan.calibration.maps.polynomial import box, terms

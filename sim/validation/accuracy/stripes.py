@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.benchmark.extractors import bound_px
-from lscan.benchmark.pictures import LineCase, centres, draw
+from lscan.benchmark.drawn import LineCase, centres, draw
+from lscan.benchmark.methods import bound_px
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import has_value
 from lscan.stripe import extract_stripe

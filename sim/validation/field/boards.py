@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from lscan.benchmark.boards import BOARDS, OPTICS, image_px, reading_of
+from lscan.benchmark.drawn import BOARDS, OPTICS, image_px, reading_of
 from lscan.board import read_board
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.calibration.planemap import without

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import fsolve
 
-from lscan.benchmark.boards import seen_marks
+from lscan.benchmark.drawn import seen_marks
 from lscan.calibration.calibrate import calibrate
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.metric.views import CalibrationView, LinePoints

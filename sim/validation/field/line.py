@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.benchmark.litpictures import LitTarget, lit_mean, lit_picture
+from lscan.benchmark.drawn import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import StripeSection
 from lscan.files.pictures import read_picture
 from lscan.records import Bytes, Floats, Status, Stripe, has_value

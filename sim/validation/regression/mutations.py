@@ -4,9 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from lscan.benchmark.against import Difference, differences
 from lscan.benchmark.judging import CaseSums, JudgedExtractor
-from lscan.benchmark.suiterun import run_suite
+from lscan.benchmark.suiterun import Difference, differences, run_suite
 from sim.validation.regression import mutants
 from sim.validation.regression.drawnsums import drawn_sums
 from sim.validation.rows import Row, row

@@ -8,7 +8,7 @@ import numpy as np
 
 from lscan.acquisition.run import MANIFEST, Run
 from lscan.acquisition.scan import scan
-from lscan.benchmark.timing import timed
+from lscan.benchmark.methods import timed
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.documents import Document, merge
 from lscan.config.rig import Rig, RigFile, load_rig, parse_rig

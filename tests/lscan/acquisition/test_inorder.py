@@ -91,7 +91,7 @@ def test_processes_are_started_beneath_the_main_guard_of_a_script(
 @pytest.mark.parametrize(
     ("ask", "given"),
     [
-        ("from lscan.benchmark.sharing import judge_shared as asked", "'none', [], []"),
+        ("from lscan.benchmark.suiterun import judge_shared as asked", "'none', [], []"),
         ("from sim.studies.cluster import open_client as asked", "2"),
     ],
 )

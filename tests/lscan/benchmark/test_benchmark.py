@@ -9,14 +9,34 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from lscan.benchmark import maps as maps_module
-from lscan.benchmark.boards import BOARDS, reading_of
-from lscan.benchmark.extractors import ExtractorRow, bench_extractors, bound_px
-from lscan.benchmark.limits import failed_of_extractor, failed_of_map
-from lscan.benchmark.maps import bench_maps
-from lscan.benchmark.page import EXTRACTOR_COLUMNS, MAP_COLUMNS, table_cells, write_bench
-from lscan.benchmark.pictures import BACKGROUND_DN, SHAPE, LineCase, centres, draw, mean_picture
-from lscan.benchmark.run import MAPS, registered_extractors, run_bench
+from lscan.benchmark import methods as maps_module
+from lscan.benchmark.drawn import (
+    BACKGROUND_DN,
+    BOARDS,
+    SHAPE,
+    LineCase,
+    centres,
+    draw,
+    mean_picture,
+    reading_of,
+)
+from lscan.benchmark.methods import (
+    ExtractorRow,
+    bench_extractors,
+    bench_maps,
+    bound_px,
+    failed_of_extractor,
+    failed_of_map,
+)
+from lscan.benchmark.run import (
+    EXTRACTOR_COLUMNS,
+    MAP_COLUMNS,
+    MAPS,
+    registered_extractors,
+    run_bench,
+    table_cells,
+    write_bench,
+)
 from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.cli.app import app
 from lscan.config.rig import NoiseSection, OpticsSection, StripeSection

@@ -8,8 +8,8 @@ import pytest
 import suite_cases
 from command_line import call, refused
 
-from lscan.benchmark.boardjudging import judge_map, judge_reader
-from lscan.benchmark.boards import OPTICS, reading_of
+from lscan.benchmark.drawn import OPTICS, reading_of
+from lscan.benchmark.judging import judge_map, judge_reader
 from lscan.benchmark.suiterun import run_boards, suite_rows
 from lscan.calibration.planemap import find_solver
 from lscan.errors import BoardNotFound, InputError

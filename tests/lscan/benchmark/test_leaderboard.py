@@ -8,9 +8,8 @@ import pytest
 import suite_cases
 from command_line import call, refused
 
-from lscan.benchmark.leaderboard import standings, write_leaderboard
-from lscan.benchmark.savedrun import write_suite_run
-from lscan.benchmark.suiterun import run_suite, suite_rows
+from lscan.benchmark.run import standings, write_leaderboard
+from lscan.benchmark.suiterun import run_suite, suite_rows, write_suite_run
 from lscan.errors import InputError
 
 

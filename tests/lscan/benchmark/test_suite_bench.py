@@ -14,18 +14,20 @@ from scipy.special import ndtr
 from scipy.stats import wilcoxon
 
 from lscan.benchmark import suiterun
-from lscan.benchmark.against import (
+from lscan.benchmark.judging import coordinate_sums, judge_case, normal_score
+from lscan.benchmark.suiterun import (
     FALSE_ALARMS,
     Difference,
     before_and_after,
     between,
+    compare_saved,
     differences,
     pseudo_median,
+    run_suite,
+    saved_run,
+    suite_rows,
+    write_suite_run,
 )
-from lscan.benchmark.boardjudging import coordinate_sums
-from lscan.benchmark.judging import judge_case, normal_score
-from lscan.benchmark.savedrun import compare_saved, saved_run, write_suite_run
-from lscan.benchmark.suiterun import run_suite, suite_rows
 from lscan.errors import InputError
 from lscan.files.disk import write_json
 from lscan.records import Status, has_value
@@ -318,7 +320,7 @@ def test_several_processes_judge_as_one_does(suite, monkeypatch):
     names = [BASE, "max"]
     alone = run_suite(str(suite), names)
     monkeypatch.setattr(suiterun, "LEAST_SHARED", 1)
-    monkeypatch.setattr("lscan.benchmark.sharing.AT_ONCE", 10)
+    monkeypatch.setattr("lscan.benchmark.suiterun.AT_ONCE", 10)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     shown = []
     shared = run_suite(str(suite), names, progress=lambda done, total: shown.append((done, total)))

@@ -27,7 +27,7 @@ import suite_cases
 from png_files import grey_png
 
 from lscan.acquisition.run import open_run
-from lscan.benchmark.savedrun import read_saved
+from lscan.benchmark.suiterun import read_saved
 from lscan.calibration.calibrationfile import load_calibration, load_camera, load_metric
 from lscan.calibration.metric.views import load_views, read_views
 from lscan.config.board import load_board

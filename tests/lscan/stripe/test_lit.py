@@ -8,7 +8,7 @@ from lines_drawn import drawn, speckled
 from pydantic import ValidationError
 from scipy.ndimage import gaussian_filter
 
-from lscan.benchmark.litpictures import LitTarget, lit_mean, lit_picture
+from lscan.benchmark.drawn import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe, has_value
 from lscan.stripe import extract_stripe

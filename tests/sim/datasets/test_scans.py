@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command_line import call, refused
 
-from lscan.benchmark.chainjudging import judge_chain, load_chain
+from lscan.benchmark.judging import judge_chain, load_chain
 from lscan.benchmark.suiterun import run_chains, suite_rows
 from lscan.errors import InputError
 from lscan.records import Status
