@@ -17,9 +17,8 @@ from lscan.config.rig import Rig, RigFile, StripeSection, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
 from lscan.measure import compare_slice
-from lscan.paper.evaluation import evaluate
-from lscan.paper.experiment import ControlPoints, Experiment, GroundTruth, RenderCheck
-from lscan.paper.results import write_experiment
+from lscan.paper.experiment import ControlPoints, Experiment, GroundTruth, RenderCheck, evaluate
+from lscan.paper.report import write_experiment
 from lscan.records import Floats, Status
 from lscan.stripe import extract_stripe
 from sim.render.tank import Tank

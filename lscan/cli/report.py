@@ -30,8 +30,8 @@ def report(
 ) -> None:
     """Evaluate the paper's experiment from its run folders and write the page."""
     from lscan.acquisition.run import open_run
-    from lscan.paper.evaluation import evaluate
-    from lscan.paper.results import results_json, write_experiment
+    from lscan.paper.experiment import evaluate
+    from lscan.paper.report import results_json, write_experiment
 
     with progress_bar("evaluate") as progress:
         experiment = evaluate(
@@ -55,7 +55,7 @@ def print_chains(experiment: Experiment) -> None:
     ----------
     experiment : Experiment, as the report shows it
     """
-    from lscan.paper.provenance import chain_names, describe_chains, note
+    from lscan.paper.experiment import chain_names, describe_chains, note
     from lscan.paper.published import Bars
     from lscan.paper.tables import paper_tables
 

@@ -1,15 +1,26 @@
 """The records of the paper's whole experiment (Sec. IV), and what its board picture gives."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from lscan.acquisition.run import Run
+from lscan.acquisition.run import Run, Versions, software_versions
 from lscan.board import read_board
 from lscan.calibration.calibrate import Calibration, calibrate
-from lscan.measurement import BoardMeasures, GrooveMeasures, SandwaveMeasures, measure_reading
-from lscan.pipeline import board_expected, mean_picture, require_board
-from lscan.records import BoardReading, Bytes, Stripe
+from lscan.config.rig import Rig
+from lscan.errors import InputError, LscanError
+from lscan.measurement import (
+    BoardMeasures,
+    GrooveMeasures,
+    SandwaveMeasures,
+    measure_groove,
+    measure_reading,
+    measure_sandwave,
+)
+from lscan.paper.published import CHOSEN_MAP
+from lscan.pipeline import board_expected, mean_picture, require_board, require_size
+from lscan.records import BoardReading, Bytes, Progress, Stripe
+from lscan.stripe import extract_stripe
 
 METHODS = (
     "graticule-1",
@@ -218,3 +229,264 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
         for name, calibration in calibrations.items()
     }
     return BoardResult(image, reading, calibrations, measures)
+
+
+# Where a report's pictures come from and what turned them into numbers, in words.
+#
+# A run whose camera is the tank's says so; what was played back, or came over a network, may have
+# been rendered as well, but no run can know.
+
+
+PARTS = ("board", "groove", "sandwave")
+PAPERS_EXTRACTORS = {"centroid", "centroid-relative"}
+"""Eq. (8) with the intensities as they are, or above the lowest (Sec. V.B)."""
+_TANK_DRIVER = "sim"
+
+Sources = Mapping[str, PictureSource]
+
+
+def chain_versions(experiment: Experiment) -> Versions:
+    """Name to version of what made an experiment's figures of its pictures.
+
+    Parameters
+    ----------
+    experiment : Experiment, its chain and best chain count
+    """
+    chains = [one.chain for one in (experiment, experiment.best) if one is not None]
+    extractors = [("lscan.extractors", name) for chain in chains for name in chain.extractors]
+    return software_versions(
+        [*extractors, *(("lscan.planemaps", chain.plane_map) for chain in chains)]
+    )
+
+
+def picture_source(run: Run) -> PictureSource:
+    """Where the run's pictures come from, by the rig document that it keeps.
+
+    Parameters
+    ----------
+    run : Run, of any camera
+    """
+    driver = run.rig_file.rig.camera.driver
+    if driver != _TANK_DRIVER:
+        return PictureSource(driver, simulated=False)
+    sensor: object = run.rig_file.section("sensor")
+    stated = sensor if isinstance(sensor, dict) else {}  # a run folder may come from anybody
+    seed = stated.get("seed")
+    whole = isinstance(seed, int) and not isinstance(seed, bool)
+    return PictureSource(driver, True, stated.get("noise") is not False, seed if whole else None)
+
+
+def note(sources: Sources, parts: Collection[str] = PARTS) -> str:
+    """What a caption says of pictures of some parts; "" where none is known to be simulated.
+
+    Such as "Simulated tank, noise seed 1."; where the others are not: "Groove: simulated tank,
+    noise seed 1."
+
+    Parameters
+    ----------
+    sources : mapping of PictureSource, by "board", "groove" and "sandwave"
+    parts : collection of str, of these names
+    """
+    there = {part: source for part, source in sources.items() if part in parts}
+    simulated = simulated_parts(there)
+    if not simulated:
+        return ""
+    words = f"simulated tank, {noise_words(simulated.values())}."
+    if len(simulated) < len(there):
+        words = f"{' and '.join(simulated)}: {words}"
+    return words[0].upper() + words[1:]
+
+
+def chain_names(chain: Chain) -> tuple[str, str]:
+    """What the columns of our two chains are called.
+
+    Parameters
+    ----------
+    chain : Chain, the first.  It is the paper's where the line was found by the paper's rules too;
+        else its map alone is.
+
+    Examples
+    --------
+    >>> chain_names(Chain("graticule-2", extractors=("ml",)))
+    ('Ours, paper’s map', 'Ours, best chain')
+    """
+    papers = set(chain.extractors) <= PAPERS_EXTRACTORS and not chain.corrected_for
+    return f"Ours, paper’s {'chain' if papers else 'map'}", "Ours, best chain"
+
+
+def describe_chains(experiment: Experiment) -> str:
+    """What the two chains are, in two sentences, or why there is but one.
+
+    Parameters
+    ----------
+    experiment : Experiment, its chain and best chain count
+    """
+    names = chain_names(experiment.chain)
+    first, second = (name.removeprefix("Ours, ") for name in names)
+    words = f"The {first}: {_describe(experiment.chain)}."
+    if experiment.best is not None:
+        better = _describe(experiment.best.chain)
+        return f"Two chains read the same pictures. {words} The {second}: {better}."
+    refused = experiment.best_refused
+    return f"{words} No {second}: {refused}." if refused else words
+
+
+def simulated_parts(sources: Sources) -> Sources:
+    """Those of the sources that are known to be simulated."""
+    return {part: source for part, source in sources.items() if source.simulated}
+
+
+def noise_words(sources: Collection[PictureSource]) -> str:
+    """Such as "noise seed 1"."""
+    noisy = [source for source in sources if source.noise]
+    if not noisy:
+        return "without noise"
+    seeds = {source.noise_seed for source in noisy if source.noise_seed is not None}
+    if not seeds:
+        return "noise seed not stated"
+    return f"noise seed{'s' if len(seeds) > 1 else ''} {' and '.join(map(str, sorted(seeds)))}"
+
+
+def _describe(chain: Chain) -> str:
+    words = f"plane map {chain.plane_map}"
+    if chain.extractors:
+        words += f", line by {' and '.join(chain.extractors)}"
+    if chain.corrected_for:
+        words += f", corrected for {' and '.join(chain.corrected_for)}"
+    return words
+
+
+# The paper's experiment evaluated twice from the same pictures: by its chain and by the best.
+
+
+BEST_MAP, BEST_EXTRACTOR = "refractive", "ml"
+
+
+def evaluate(
+    board: Run,
+    groove: Run | None = None,
+    sandwave: Run | None = None,
+    progress: Progress | None = None,
+    best: Mapping[str, Rig] | None = None,
+) -> Experiment:
+    """All measurements of the experiment, by the paper's map and by the best chain.
+
+    The maps are solved from the board's run.  Both chains read the same pictures.
+
+    Parameters
+    ----------
+    board, groove, sandwave : Run, scans of the three pieces; the last two may be missing
+    progress : callable, optional, called with the number of the sandwave's pictures that are read,
+        and of all, by both chains
+    best : mapping of str to Rig, optional, "board", "groove" and "sandwave" to rigs that say how
+        the best chain reads the pictures: their ``[calibration]``, ``[optics]``, ``[stripe]`` and
+        ``[sheet]`` count.  By default the runs' own rigs with the map ``refractive`` and the
+        extractor ``ml``; that map wants the section ``[optics]``.
+
+    Raises
+    ------
+    LscanError
+        What the measurements by the paper's chain raise: InputError, BoardNotFound,
+        MeasurementError.  An error of the best chain is kept in ``best_refused``.
+
+    References
+    ----------
+    Sec. IV of the paper.
+    """
+    parts = {"board": board, "groove": groove, "sandwave": sandwave}
+    runs = {part: run for part, run in parts.items() if run is not None}
+    experiment = replace(
+        _measure(runs, METHODS, CHOSEN_MAP, _half(progress, 0)),
+        sources={part: picture_source(run) for part, run in runs.items()},
+        shown=_line_pictures(groove, sandwave),
+    )
+    try:
+        better = _best_runs(runs, best)
+        plane_map = better["board"].rig_file.rig.calibration.plane_map
+        measured = _measure(better, (plane_map,), plane_map, _half(progress, 1))
+    except LscanError as error:
+        return replace(experiment, best_refused=str(error))
+    return replace(experiment, best=measured)
+
+
+def _measure(
+    runs: Mapping[str, Run], methods: Sequence[str], chosen: str, progress: Progress | None
+) -> Experiment:
+    """The experiment with all ``methods`` on the board, and ``chosen`` among them for the rest."""
+    board = measure_board(runs["board"], methods)
+    others = {part: run for part, run in runs.items() if part != "board"}
+    for run in others.values():
+        size_px = board.reading.image_size
+        require_size(run.rig_file.rig.camera, size_px, f"from {runs['board'].path}", run.path)
+    plane_map = board.calibrations[chosen].plane_map
+    groove, sandwave = others.get("groove"), others.get("sandwave")
+    return Experiment(
+        scene=runs[max(runs)].rig_file.rig.name,  # the sandwave's, else the groove's
+        chain=_chain(chosen, [run.rig_file.rig for run in others.values()]),
+        board=board,
+        groove=None if groove is None else measure_groove(groove, plane_map),
+        sandwave=None if sandwave is None else measure_sandwave(sandwave, plane_map, progress),
+    )
+
+
+def _line_pictures(groove: Run | None, sandwave: Run | None) -> dict[str, LinePictures]:
+    """The first picture of the groove, and of the sandwave some from the middle of its scan."""
+    shown = {}
+    if groove is not None:
+        shown["groove"] = _pictures(groove, range(1))
+    if sandwave is not None:
+        first = max(0, (len(sandwave) - PICTURES_SHOWN) // 2)
+        last = min(len(sandwave), first + PICTURES_SHOWN)
+        shown["sandwave"] = _pictures(sandwave, range(first, last))
+    return shown
+
+
+def _pictures(run: Run, indices: Sequence[int]) -> LinePictures:
+    frames = [run.frame(index) for index in indices]
+    stripe = extract_stripe(frames[0].image, run.rig_file.rig.stripe, frames[0].background)
+    return LinePictures([frame.image for frame in frames], stripe)
+
+
+def _chain(plane_map: str, rigs: Sequence[Rig]) -> Chain:
+    corrections = {
+        "blur": any(rig.stripe.blur_px is not None for rig in rigs),
+        "sheet thickness": any(rig.sheet is not None for rig in rigs),
+    }
+    return Chain(
+        plane_map,
+        extractors=tuple(sorted({rig.stripe.extractor for rig in rigs})),
+        corrected_for=tuple(name for name, made in corrections.items() if made),
+    )
+
+
+def _best_runs(runs: Mapping[str, Run], best: Mapping[str, Rig] | None) -> dict[str, Run]:
+    """The runs with rigs that have them read by the best chain."""
+    if best is None and "optics" not in runs["board"].rig_file.document:
+        raise InputError(
+            f"the rig file has no section [optics], which the map {BEST_MAP} starts from",
+            where=runs["board"].path,
+        )
+    return {
+        part: _read_as(run, _best_rig(run.rig_file.rig) if best is None else best[part])
+        for part, run in runs.items()
+    }
+
+
+def _best_rig(rig: Rig) -> Rig:
+    stripe = rig.stripe.model_copy(update={"extractor": BEST_EXTRACTOR})
+    calibration = rig.calibration.model_copy(update={"plane_map": BEST_MAP})
+    return rig.model_copy(update={"stripe": stripe, "calibration": calibration})
+
+
+def _read_as(run: Run, like: Rig) -> Run:
+    """The run, its pictures to be read as those of the rig ``like``."""
+    sections = ("calibration", "optics", "stripe", "sheet")
+    rig = run.rig_file.rig.model_copy(update={name: getattr(like, name) for name in sections})
+    return replace(run, rig_file=replace(run.rig_file, rig=rig))
+
+
+def _half(progress: Progress | None, before: int) -> Progress | None:
+    """Progress of the first (before = 0) or second (1) of two passes over the same pictures."""
+    if progress is None:
+        return None
+    return lambda done, total: progress(done + before * total, 2 * total)

@@ -27,7 +27,7 @@ def demo(
     json: Json = False,
 ) -> None:
     """The paper's experiment: calibrate, scan, measure and compare, with a report."""
-    from lscan.paper.results import results_json
+    from lscan.paper.report import results_json
     from sim.demo import run_demo
 
     experiment = run_demo(scenes or scenes_folder() / "paper", output, frames, quick=quick)

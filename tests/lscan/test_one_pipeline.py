@@ -12,7 +12,7 @@ import xarray as xr
 from drawn_runs import SHEET, board_run, flat_run, sandwave_run
 from typer.testing import CliRunner
 
-import lscan.paper.results
+import lscan.paper.report
 from lscan.acquisition.run import Run, open_run
 from lscan.calibration.calibrationfile import load_plane_map
 from lscan.cli.app import app
@@ -160,7 +160,7 @@ def test_a_target_without_a_workpiece_is_corrected_with_the_yaw_that_was_kept(
 def test_report_saves_the_surface_that_reconstruct_does(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(lscan.paper.results, "write_report", lambda *_: None)  # the page's figures
+    monkeypatch.setattr(lscan.paper.report, "write_report", lambda *_: None)  # the page's figures
     called(
         "report", "-o", folder / "report", "--board", folder / "board",
         "--sandwave", folder / "sandwave",

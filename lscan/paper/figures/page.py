@@ -5,7 +5,14 @@ from collections.abc import Sequence
 from lscan.figures.style import ReportFigure
 from lscan.measurement import SandwaveMeasures
 from lscan.paper.experiment import Experiment, LinePictures
-from lscan.paper.figures import board, contours, interactive, relief, slices, stripes
+from lscan.paper.figures import (
+    pictures as board,
+    pictures as stripes,
+    surfaces as contours,
+    surfaces as interactive,
+    surfaces as relief,
+    surfaces as slices,
+)
 from lscan.paper.published import Bars
 
 _SLICE_FIGURES = {"S1": "Fig. 29", "S2": "Fig. 30", "S3": "Fig. 31", "SD": "Fig. 32"}

@@ -27,8 +27,7 @@ from lscan.config.plugins import (
 )
 from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
-from lscan.paper.experiment import Chain
-from lscan.paper.provenance import chain_versions
+from lscan.paper.experiment import Chain, chain_versions
 from lscan.stripe import extract_stripe
 from lscan.stripe.extractors.rules import centroid
 from lscan.suites import find_suite, suites_found

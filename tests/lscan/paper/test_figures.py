@@ -20,7 +20,14 @@ from lscan.figures.style import cell_for, grid_heights, signed
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures
-from lscan.paper.figures import board, contours, interactive, relief, slices, stripes
+from lscan.paper.figures import (
+    pictures as board,
+    pictures as stripes,
+    surfaces as contours,
+    surfaces as interactive,
+    surfaces as relief,
+    surfaces as slices,
+)
 from lscan.records import Status, Stripe
 from lscan.surface import Slice
 

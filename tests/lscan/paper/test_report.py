@@ -17,10 +17,9 @@ from places import SUPPORT
 
 from lscan.errors import InputError
 from lscan.paper import published as paper
-from lscan.paper.checks import checks
 from lscan.paper.experiment import ControlPoints, Experiment
 from lscan.paper.report import render_report, write_report
-from lscan.paper.tables import LABELS, paper_tables
+from lscan.paper.tables import LABELS, checks, paper_tables
 from lscan.records import Length, Status
 from lscan.version import __version__
 

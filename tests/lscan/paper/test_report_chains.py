@@ -13,10 +13,15 @@ from lscan.acquisition.run import Run
 from lscan.cli.report import print_chains
 from lscan.config.rig import parse_rig
 from lscan.paper import published as paper
-from lscan.paper.experiment import Experiment, PictureSource
-from lscan.paper.provenance import chain_names, describe_chains, note, picture_source
-from lscan.paper.report import render_report
-from lscan.paper.results import results_json
+from lscan.paper.experiment import (
+    Experiment,
+    PictureSource,
+    chain_names,
+    describe_chains,
+    note,
+    picture_source,
+)
+from lscan.paper.report import render_report, results_json
 from lscan.paper.tables import paper_tables
 
 pytestmark = pytest.mark.xdist_group("report")

@@ -18,7 +18,7 @@ from matplotlib.transforms import Bbox
 from lscan.config.targets import Sandwave
 from lscan.figures import style
 from lscan.paper.experiment import Experiment
-from lscan.paper.figures import contours
+from lscan.paper.figures import surfaces as contours
 from lscan.paper.report import render_report
 
 pytestmark = pytest.mark.xdist_group("report")
