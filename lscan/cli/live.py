@@ -28,9 +28,8 @@ def live(
     from lscan.config.rig import load_rig
     from lscan.devices.signals import no_suspending, on_stop_signals
     from lscan.errors import DeviceError
-    from lscan.live.access import grant
-    from lscan.live.boardpicture import use_map
-    from lscan.live.server import listen, make_server
+    from lscan.live.scanning import use_map
+    from lscan.live.server import grant, listen, make_server
     from lscan.live.session import Session
     from lscan.pipeline import require_size
 

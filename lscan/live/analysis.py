@@ -1,16 +1,91 @@
 """What is measured of one picture for the live page."""
 
+import json
+import struct
 from dataclasses import dataclass, replace
+from typing import Any
 
+import cv2
 import numpy as np
+from scipy.ndimage import map_coordinates
 
-from lscan.config.rig import StripeSection
-from lscan.live.maptable import LiveProfile, MapTable
-from lscan.records import Bytes, Floats, GreyValues, Ints, Stripe, has_value
+from lscan.board import read_board
+from lscan.calibration.calibrate import calibrate, in_picture, residuals
+from lscan.calibration.metric.planemap import Metric
+from lscan.calibration.offsheet import LinesOfSight, OffSheet, off_sheet, seen_from
+from lscan.calibration.planemap import PlaneMap
+from lscan.config.board import Board
+from lscan.config.rig import Rig, SheetSection, StripeSection
+from lscan.errors import BoardNotFound, LscanError, MeasurementError
+from lscan.files.pictures import encoded
+from lscan.records import (
+    BoardReading,
+    Bytes,
+    Floats,
+    GreyValues,
+    Ints,
+    Status,
+    Stripe,
+    has_value,
+    status_counts,
+)
 from lscan.stripe import extract_stripe
 from lscan.stripe.noise import constant_variance
 from lscan.stripe.peaks import crests, line_width
 from lscan.stripe.picture import PictureLines, lines_of
+
+# A plane map tabulated over the picture, for profiles at the rate of a live page.
+#
+# A refractive map takes some 15 ms for a line of 640 points, most of it for uncertainties; its
+# table takes a tenth of a millisecond.  Between nodes the table is bilinear: its error is at most
+# NODE_PX² / 8 of the map's second derivative, microns for a camera of moderate distortion, and
+# NODE_PX / 4 of the change of slope where the map is bent, as at the cells of a graticule.
+
+
+NODE_PX = 4
+
+
+@dataclass(frozen=True)
+class LiveProfile:
+    """A profile to be looked at: xz_mm (N, 2), NaN where there is none; sigma_mm (N,) of z."""
+
+    xz_mm: Floats
+    sigma_mm: Floats
+
+
+@dataclass(frozen=True)
+class MapTable:
+    """A map at every NODE_PX-th pixel of every NODE_PX-th row.
+
+    nodes: (5, rows, columns): x, z and the map's own uncertainty of z, mm; the change of z by u
+    and by v, mm/px.  NaN outside the calibrated part, from the last node within it on.
+    """
+
+    nodes: Floats
+
+    def profile(self, stripe: Stripe) -> LiveProfile:
+        """The points of the stripe in the sheet, one for each of its entries."""
+        places = stripe.image_px[:, ::-1].T / NODE_PX
+        known = np.isfinite(places).all(axis=0)
+        read = np.full((5, places.shape[1]), np.nan)
+        for row, node in zip(read, self.nodes, strict=True):
+            row[known] = map_coordinates(node, places[:, known], order=1, cval=np.nan)
+        slope = read[4] if stripe.axis == "columns" else read[3]
+        return LiveProfile(read[:2].T, np.hypot(read[2], slope * stripe.sigma_px))
+
+
+def tabulate(plane_map: PlaneMap, size_px: tuple[int, int]) -> MapTable:
+    """The table of a map for pictures of (width, height) px."""
+    width, height = size_px
+    v, u = np.mgrid[0 : height + NODE_PX : NODE_PX, 0 : width + NODE_PX : NODE_PX]
+    points = plane_map.to_plane(np.column_stack([u.ravel(), v.ravel()]).astype(float))
+    x, z = (coordinate.reshape(u.shape) for coordinate in points.xz_mm.T)
+    by_v, by_u = np.gradient(z, NODE_PX)
+    return MapTable(np.stack([x, z, points.sigma_mm[:, 1].reshape(u.shape), by_u, by_v]))
+
+
+# What is measured of one picture for the live page.
+
 
 FULL_WIDTH = 2 * np.sqrt(2 * np.log(2))
 """Full width at half height of a Gaussian of unit standard deviation."""
@@ -145,3 +220,234 @@ def _light_about(grey: GreyValues, centre_px: Floats, at: Ints) -> Floats:
     rows = middle + np.arange(-FOCUS_REACH_PX, FOCUS_REACH_PX + 1)
     window = grey[at[:, None], np.clip(rows, 0, grey.shape[1] - 1)].astype(np.float64)
     return window - np.median(grey[at], axis=1, keepdims=True)
+
+
+# What the live page says of the calibration board: its marks, residuals, place off the sheet.
+
+
+UNCALIBRATED = "how far the board is from the sheet needs a calibration: --calibration FILE"
+NO_PLACE = (
+    "how far the board is from the sheet needs the camera's place: add [sheet] with camera_mm "
+    "(and thickness_mm, apex_mm) to the rig file, or use a metric calibration"
+)
+
+
+@dataclass(frozen=True)
+class BoardFigures:
+    """The board in one picture.
+
+    found, expected: control points.  message: why the board was not found, "" if it was.
+    marks_px: (found, 2).  residual_mm, residual_px: (rms, greatest) of the control points, None
+    where there is none.  offset: None where it is not known; offset_message says why.
+    """
+
+    found: int
+    expected: int
+    message: str
+    marks_px: Floats
+    residual_mm: tuple[float, float] | None = None
+    residual_px: tuple[float, float] | None = None
+    offset: OffSheet | None = None
+    offset_message: str = ""
+
+
+def read_live_board(
+    image: Bytes, board: Board, rig: Rig, plane_map: PlaneMap | None
+) -> BoardFigures:
+    """The board as seen in ``image``, (H, W) or (H, W, 3) RGB uint8.
+
+    Residuals are those to the current map once the board's pose off the sheet is taken out;
+    where that is not known, to the board lying as it was when the map was solved; without a
+    map, to the rig's map solved from this picture.  A picture without a board is no error.
+    """
+    expected = board.grid.rows * board.grid.columns
+    try:
+        reading = read_board(image, board, channel=rig.calibration.channel)
+    except BoardNotFound as error:
+        return BoardFigures(0, expected, str(error), np.zeros((0, 2)))
+    if not board.grid.whole:
+        expected = len(reading.grid.status)
+    marks = reading.grid.image_px[reading.grid.found]
+    offset, message = None, UNCALIBRATED
+    mm = px = np.zeros((0, 2))
+    if plane_map is None:
+        try:
+            solved = calibrate(reading, rig.calibration.plane_map, rig.optics)
+            mm, px = solved.residuals_mm, solved.residuals_px
+        except LscanError as error:
+            message = str(error)
+    else:
+        offset, message = _offset(reading, plane_map, rig.sheet)
+        if offset is None:
+            mm, px = residuals(plane_map, reading)
+        else:
+            mm = offset.residual_mm
+            px = in_picture(plane_map, reading.grid.image_px, mm)
+    return BoardFigures(
+        found=len(marks),
+        expected=expected,
+        message="",
+        marks_px=marks,
+        residual_mm=_rms_and_max(mm),
+        residual_px=_rms_and_max(px),
+        offset=offset,
+        offset_message=message,
+    )
+
+
+def _offset(
+    reading: BoardReading, plane_map: PlaneMap, sheet: SheetSection | None
+) -> tuple[OffSheet | None, str]:
+    """The board's offset from the sheet, or None and why that is not known."""
+    grid = reading.grid
+    points = plane_map.to_plane(grid.image_px, grid.sigma_px)
+    if isinstance(plane_map, Metric):
+        slope = plane_map.view.slopes(grid.image_px)
+        sight = LinesOfSight(slope, np.zeros((*slope.shape, 0)))
+    elif sheet is not None:
+        sight = seen_from(sheet.camera_mm, points.xz_mm)
+    else:
+        return None, NO_PLACE
+    lattice = grid.board_mm.reshape(*reading.shape, 2)
+    corners_mm = lattice[[0, 0, -1, -1], [0, -1, -1, 0]]  # clockwise from the upper left
+    try:
+        return off_sheet(grid.board_mm, points, sight, corners_mm), ""
+    except MeasurementError as error:
+        return None, str(error)
+
+
+def _rms_and_max(pairs: Floats) -> tuple[float, float] | None:
+    lengths = np.hypot(*pairs.T)
+    lengths = lengths[np.isfinite(lengths)]
+    if len(lengths) == 0:
+        return None
+    return float(np.sqrt(np.mean(lengths**2))), float(lengths.max())
+
+
+# What goes over the wire for one picture: its figures as JSON, and the picture as JPEG.
+#
+# 4 bytes   length of the JSON, big-endian
+# JSON      UTF-8; numbers that are not known are null
+# JPEG      the picture as the camera sees it
+
+
+JPEG_QUALITY = 80
+
+
+def packed(document: dict[str, Any], jpeg: bytes) -> bytes:
+    """The answer to a browser that asked for a picture."""
+    text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+    return struct.pack(">I", len(text)) + text + jpeg
+
+
+def jpeg_of(image: Bytes) -> bytes:
+    """The picture, (H, W) grey or (H, W, 3) RGB, as JPEG."""
+    return encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY], where="the live page")
+
+
+def figures_json(figures: Figures) -> dict[str, Any]:
+    """Saturation, focus, stripe and profile."""
+    return {
+        "saturated_percent": round(figures.saturated_percent, 3),
+        "focus": round(figures.focus, 2),
+        "stripe": figures.line and _stripe_json(figures.line),
+        "profile": figures.profile and _profile_json(figures.profile),
+    }
+
+
+def _stripe_json(line: StripeFigures) -> dict[str, Any]:
+    status = line.stripe.status
+    return {
+        "axis": line.stripe.axis,
+        "centre_px": _rounded(line.stripe.centre_px, 2),
+        "found": int(has_value(status).sum()),
+        "of": len(status),
+        "clipped": int((status == Status.SATURATED).sum()),
+        "clipped_at": np.flatnonzero(status == Status.SATURATED).tolist(),
+        "width_px": _rounded(line.width_px, 2),
+        "snr": _rounded(line.snr, 1),
+        "slope": _rounded(line.slope, 5),
+        "status": status_counts(status),
+    }
+
+
+def _profile_json(profile: LiveProfile) -> dict[str, Any]:
+    sigma = profile.sigma_mm[np.isfinite(profile.sigma_mm)]
+    return {
+        "x_mm": _rounded(profile.xz_mm[:, 0], 3),
+        "z_mm": _rounded(profile.xz_mm[:, 1], 3),
+        "sigma_mm": round(float(np.median(sigma)), 4) if len(sigma) else None,
+    }
+
+
+def board_json(board: BoardFigures, age_s: float) -> dict[str, Any]:
+    """The board's reading, ``age_s`` after its picture was taken."""
+    rms_mm, _ = board.residual_mm or (None, None)
+    rms_px, max_px = board.residual_px or (None, None)
+    return {
+        "found": board.found,
+        "expected": board.expected,
+        "message": board.message,
+        "marks_px": _rounded(board.marks_px, 2),
+        "residual_rms_px": _rounded(rms_px, 4),
+        "residual_max_px": _rounded(max_px, 4),
+        "residual_rms_mm": _rounded(rms_mm, 4),
+        "offset": board.offset and _offset_json(board.offset),
+        "offset_message": board.offset_message,
+        "age_s": round(age_s, 2),
+    }
+
+
+def _offset_json(offset: OffSheet) -> dict[str, Any]:
+    return {
+        "distance_mm": _rounded(offset.distance_mm, 3),
+        "sigma_mm": _rounded(offset.distance_sigma_mm, 3),
+        "tilt_x_deg": _rounded(np.degrees(offset.tilt_x_rad), 4),
+        "tilt_x_sigma_deg": _rounded(np.degrees(offset.tilt_x_sigma_rad), 4),
+        "tilt_z_deg": _rounded(np.degrees(offset.tilt_z_rad), 4),
+        "tilt_z_sigma_deg": _rounded(np.degrees(offset.tilt_z_sigma_rad), 4),
+        "corners_mm": _rounded(offset.corners_mm, 3),
+    }
+
+
+def _rounded(values: Floats | float | None, decimals: int) -> Any:
+    """A number or an array of any shape in JSON types, None for what is not known."""
+    if values is None:
+        return None
+    numbers = np.round(values, decimals)
+    return np.where(np.isnan(numbers), np.array(None), numbers).tolist()
+
+
+# The greatest sharpness at the head's present position, the reference of the others.
+
+
+MOVED_MM = 0.1
+"""A head within this of where it stood looks at the same place: a track may report it so often
+that its readings scatter, and a line does not change within a tenth of a millimetre."""
+
+
+class BestFocus:
+    """The greatest sharpness since the head last moved.
+
+    Another place of the target may be nearer or lit in another way: a best from there is not
+    to be reached here, whatever is done to the lens.
+    """
+
+    def __init__(self) -> None:
+        self._best, self._position_mm = 0.0, None  # type: float, float | None
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._best = 0.0
+
+    def among(self, focus: float, position_mm: float | None) -> float:
+        """The best up to this picture, taken at ``position_mm``, None where that is not known."""
+        if self._has_moved_to(position_mm):
+            self._best, self._position_mm = 0.0, position_mm
+        self._best = max(self._best, focus)
+        return self._best
+
+    def _has_moved_to(self, position_mm: float | None) -> bool:
+        if position_mm is None or self._position_mm is None:
+            return position_mm is not self._position_mm
+        return abs(position_mm - self._position_mm) > MOVED_MM

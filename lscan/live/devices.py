@@ -24,8 +24,26 @@ from lscan.devices.api import (
     longest_grab_s,
 )
 from lscan.errors import DeviceError, InputError, LscanError
-from lscan.live.errors import one_line
 from lscan.stripe.picture import check_picture
+
+# Errors of the live page: what it refuses beyond bad input, and any error in one line.
+
+
+class NotNow(LscanError):
+    """A valid command that the present state of the session does not allow."""
+
+    exit_code = 1
+
+
+def one_line(error: Exception) -> str:
+    """The error as one line.  A thread of the page reports any, for it must not end by it."""
+    if isinstance(error, LscanError):
+        return str(error)
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+# The rig's camera and track on the live page: opened once, shared, opened again after a failure.
+
 
 Show = Callable[[Grab], None]
 

@@ -14,8 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 import cv2
 import numpy as np
 
-from lscan.live.admission import HEADERS
-from lscan.live.files import page_files
+from lscan.live.server import HEADERS, page_files
 from lscan.records import Floats
 
 WIDTH, HEIGHT = 640, 480

@@ -11,8 +11,7 @@ from typing import Any
 import httpx
 from live_rig import LONG_S, Bench, wait_for
 
-from lscan.live.access import grant
-from lscan.live.server import listen, make_server
+from lscan.live.server import grant, listen, make_server
 from lscan.live.session import Session
 
 

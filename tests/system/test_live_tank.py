@@ -12,7 +12,7 @@ from lscan.board import read_board
 from lscan.calibration.calibrate import calibrate
 from lscan.calibration.calibrationfile import load_calibration
 from lscan.config.rig import SheetSection, load_rig
-from lscan.live.boardview import read_live_board
+from lscan.live.analysis import read_live_board
 from lscan.live.session import Session
 from lscan.records import Bytes
 from sim.render.tank import Tank

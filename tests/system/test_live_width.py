@@ -8,7 +8,7 @@ from scipy.special import erf
 
 from lscan.config.rig import StripeSection
 from lscan.live.analysis import FULL_WIDTH, measure_line
-from lscan.live.files import FOLDER
+from lscan.live.server import FOLDER
 from sim.sensor.colour import ColourFilter
 
 HEIGHT, WIDTH = 80, 320

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
-from lscan.live.access import Access, grant
+from lscan.live.server import Access, grant
 
 TOKEN = "correct-horse"
 
@@ -156,9 +156,9 @@ def test_it_is_said_who_can_move_the_track_and_who_can_read_the_token() -> None:
 def test_everywhere_has_an_address_for_each_number_and_the_name_last(monkeypatch):
     """Debian gives a machine's name 127.0.1.1; fe80:: needs an interface that no browser takes."""
     numbers = ("127.0.1.1", "198.51.100.4", "203.0.113.9", "::1", "fe80::1%eth0", "2001:db8::7")
-    monkeypatch.setattr("lscan.live.access.socket.socket", FakeProbe)
-    monkeypatch.setattr("lscan.live.access.socket.getaddrinfo", named(*numbers))
-    monkeypatch.setattr("lscan.live.access.socket.gethostname", lambda: "scanner")
+    monkeypatch.setattr("lscan.live.server.socket.socket", FakeProbe)
+    monkeypatch.setattr("lscan.live.server.socket.getaddrinfo", named(*numbers))
+    monkeypatch.setattr("lscan.live.server.socket.gethostname", lambda: "scanner")
     expected = {
         "0.0.0.0": ["198.51.100.4", "203.0.113.9", "scanner"],
         "::": ["198.51.100.4", "203.0.113.9", "[2001:db8::7]", "scanner"],
@@ -174,8 +174,8 @@ def test_a_machine_without_a_network_has_its_name_alone(monkeypatch):
     def unreachable(*_):
         raise OSError("Network is unreachable")
 
-    monkeypatch.setattr("lscan.live.access.socket.socket", unreachable)
-    monkeypatch.setattr("lscan.live.access.socket.getaddrinfo", unreachable)
+    monkeypatch.setattr("lscan.live.server.socket.socket", unreachable)
+    monkeypatch.setattr("lscan.live.server.socket.getaddrinfo", unreachable)
     name = socket.gethostname()
     assert grant("::", 1, TOKEN).addresses == (f"http://{name}:1/?token={TOKEN}",)
 

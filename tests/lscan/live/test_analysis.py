@@ -13,14 +13,17 @@ from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.live.analysis import (
     BAND_PX,
+    NODE_PX,
     band_of_line,
+    figures_json,
+    jpeg_of,
     measure_line,
     measure_picture,
+    packed,
     sharpness,
     slope_of,
+    tabulate,
 )
-from lscan.live.maptable import NODE_PX, tabulate
-from lscan.live.wire import figures_json, jpeg_of, packed
 from lscan.records import PlanePoints, Status, Stripe, has_value
 from lscan.stripe import extract_stripe
 

@@ -7,12 +7,11 @@ import pytest
 from planeviews import View, paper_board, read_board, with_noise
 from scipy.spatial.transform import Rotation
 
-import lscan.live.boardview as boardview
+import lscan.live.analysis as boardview
 from lscan.calibration.calibrate import calibrate
 from lscan.config.rig import CalibrationSection, CameraSection, Rig, SheetSection, TrackSection
 from lscan.errors import BoardNotFound
-from lscan.live.boardview import NO_PLACE, UNCALIBRATED, read_live_board
-from lscan.live.wire import board_json
+from lscan.live.analysis import NO_PLACE, UNCALIBRATED, board_json, read_live_board
 
 IMAGE = np.zeros((480, 640), dtype=np.uint8)
 BOARD = paper_board()

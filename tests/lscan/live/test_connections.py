@@ -55,7 +55,7 @@ def test_connections_that_ask_for_nothing_stop_no_scan_and_are_dropped(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """More of them than the process may open files; another browser is served meanwhile."""
-    monkeypatch.setattr("lscan.live.admission.REQUEST_S", LONG_S)
+    monkeypatch.setattr("lscan.live.server.REQUEST_S", LONG_S)
     track = GatedTrack(gate=threading.Semaphore(0))
     with live_bench(monkeypatch, tmp_path, track) as bench, served(bench) as page, few_files():
         page.post("scan/start", {"name": "a"})
@@ -74,7 +74,7 @@ def test_a_connection_is_dropped_that_brings_no_whole_request(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """One that waits for a picture is not, however long."""
-    monkeypatch.setattr("lscan.live.admission.REQUEST_S", 0.1)
+    monkeypatch.setattr("lscan.live.server.REQUEST_S", 0.1)
     monkeypatch.setattr("lscan.live.server.LONGEST_WAIT_S", 0.5)
     with live_bench(monkeypatch, tmp_path) as bench, served(bench) as page:
         command = [sys.executable, "-S", "-c", CLIENT, str(page.port), "6"]

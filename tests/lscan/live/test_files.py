@@ -7,7 +7,7 @@ from pathlib import Path
 from places import tracked
 
 import lscan
-from lscan.live.files import FOLDER, page_files
+from lscan.live.server import FOLDER, page_files
 
 
 def test_what_is_hidden_or_of_another_kind_is_not_listed(tmp_path: Path) -> None:

@@ -20,10 +20,8 @@ from places import SUPPORT
 
 from lscan.acquisition.run import open_run
 from lscan.errors import InputError
-from lscan.live.access import grant
-from lscan.live.files import FOLDER
-from lscan.live.newest import Newest
-from lscan.live.server import LivePage, listen
+from lscan.live.server import FOLDER, LivePage, grant, listen
+from lscan.live.session import Newest
 
 COMMANDS = [
     "mode",

@@ -17,14 +17,10 @@ from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
 from lscan.errors import DeviceError, DiskError, InputError
-from lscan.live.analysis import Figures, measure_line
-from lscan.live.boardpicture import LiveCalibration
-from lscan.live.errors import NotNow
-from lscan.live.focus import MOVED_MM, BestFocus
-from lscan.live.maptable import MapTable
-from lscan.live.newest import Newest
-from lscan.live.scanning import find_unfinished, next_name
-from lscan.live.session import Session
+from lscan.live.analysis import MOVED_MM, BestFocus, Figures, MapTable, measure_line
+from lscan.live.devices import NotNow
+from lscan.live.scanning import LiveCalibration, find_unfinished, next_name
+from lscan.live.session import Newest, Session
 
 
 def scan_of(session: Session) -> dict[str, Any]:
