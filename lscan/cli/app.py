@@ -5,22 +5,14 @@ import os
 # Before NumPy: its matrices here are small, and threads cost them more time than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from lscan.cli.benchmark import bench, leaderboard
-from lscan.cli.board import draw_board
-from lscan.cli.calibrate import calibrate, check
-from lscan.cli.compare import compare
+from lscan.cli.bench import bench, leaderboard, suite
+from lscan.cli.calibrate import calibrate, calibrate_metric, calibrate_shaft, check, draw_board
 from lscan.cli.console import before_any_command, command_line, run_program
 from lscan.cli.devices import devices
-from lscan.cli.live import live
-from lscan.cli.measure import measure, reconstruct
-from lscan.cli.multiview import calibrate_metric
-from lscan.cli.report import report
+from lscan.cli.extract import extract
+from lscan.cli.measure import compare, measure, reconstruct, report
 from lscan.cli.roughness import roughness
-from lscan.cli.scan import scan
-from lscan.cli.scenes import scenes
-from lscan.cli.shaft import calibrate_shaft
-from lscan.cli.stripe import extract
-from lscan.cli.suites import suite
+from lscan.cli.scan import live, scan, scenes
 
 app = command_line(
     "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench, suite."

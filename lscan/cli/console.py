@@ -1,11 +1,13 @@
 """What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
 
+import ctypes
 import errno
 import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
 import typer
@@ -15,12 +17,41 @@ from rich.table import Table
 from rich.text import Text
 from typer.core import TyperGroup
 
-from lscan.cli.memory import keep_freed_memory
 from lscan.devices.signals import ignore_stop_signals, interrupted_by_signals, on_stop_signals
-from lscan.errors import LscanError, Stopped, missing_package
+from lscan.errors import InputError, LscanError, Stopped, missing_package
 from lscan.files.disk import json_text, long_work_shown
 from lscan.records import Progress
 from lscan.version import __version__
+
+# Memory that a process keeps for its next picture.
+
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # names of mallopt(3), as malloc.h numbers them
+_KEPT_BYTES = 2**28  # the arrays of several pictures of 8 million pixels
+_LARGEST_BYTES = 2**25  # glibc's limit for blocks out of memory that is kept
+
+
+def keep_freed_memory() -> None:
+    """Have the C library keep the memory that large arrays free.
+
+    By default it hands that back, and the system clears every page anew for the next array: half
+    of the time in which a line is found, as arrays of a picture's size come and go.  Nothing is
+    changed where the C library is not glibc.
+
+    References
+    ----------
+    mallopt(3) of the Linux manual.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # not glibc, or Windows
+        return
+    mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES)
+    mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
+
+
+# What the two command lines share: one clear line for an error, progress bars, JSON, tables.
+
 
 FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
@@ -267,3 +298,48 @@ def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[obj
 def _cell(value: object) -> Text:
     text = f"{value:.3f}" if isinstance(value, float) else printable(str(value))
     return Text("–" if text in ("nan", "+nan") else text)
+
+
+# The arguments that several commands take, and what is checked of them before any work.
+
+
+RigOrScene = Annotated[
+    Path, typer.Argument(help="Rig file or scene file (TOML), or a scene's name.")
+]
+PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder.")]
+EXTRACTORS = (
+    "max, centroid, centroid-relative, centroid-squared, gaussian, ml, blais-rioux, smoothed-peak, "
+    "steger; or package.module:function."
+)
+MAPS = (
+    "graticule-1, -2, -bspline, each also with -norulers; polynomial-1 to -9; projective, spline, "
+    "refractive"
+)
+ChannelName = Annotated[str | None, typer.Option("--channel", help="red, green, blue or grey.")]
+Overlay = Annotated[
+    Path | None,
+    typer.Option("--overlay", help="Write the picture with what was found drawn on it."),
+]
+RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
+CalibrationFile = Annotated[
+    Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
+]
+ShaftFile = Annotated[
+    Path | None,
+    typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
+]
+AlignmentFile = Annotated[
+    Path | None,
+    typer.Option("--alignment", help="Alignment kept from a scan of the block (JSON)."),
+]
+Trust = Annotated[
+    bool, typer.Option("--trust", help="Run the code that a run folder names as its extractor.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def require_folders(*outputs: Path | None) -> None:
+    """Refuse, before any work is done, an output whose folder does not exist."""
+    for output in outputs:
+        if output is not None and not os.path.isdir(output.parent):  # noqa: PTH112 - takes any
+            raise InputError("the folder to write to does not exist", where=output)

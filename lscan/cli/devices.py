@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lscan.cli.arguments import Json
-from lscan.cli.console import print_json, print_table, progress_bar
+from lscan.cli.console import Json, print_json, print_table, progress_bar
 
 if TYPE_CHECKING:
     from lscan.config.rig import RigFile

@@ -7,28 +7,36 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
-from lscan.cli.arguments import (
+from lscan.cli.console import (
     AlignmentFile,
     CalibrationFile,
     Json,
     RunFolder,
     ShaftFile,
     Trust,
+    note,
+    print_json,
+    print_table,
+    progress_bar,
     require_folders,
 )
-from lscan.cli.console import note, print_json, print_table, progress_bar
 from lscan.errors import InputError
 
 if TYPE_CHECKING:
     from lscan.acquisition.run import Run
     from lscan.calibration.planemap import PlaneMap
     from lscan.config.rig import Rig
+    from lscan.measure.meshes import MeshPose
     from lscan.measure.shapes import ShapeMeasure
     from lscan.measurement import Measures, SandwaveMeasures
+    from lscan.paper.experiment import Experiment
+    from lscan.paper.tables import TableBlock
     from lscan.pipeline import Reconstruction
     from lscan.records import Length, Surface
+
 
 LEAST_SHARE = 0.02
 """Of the columns: a line that spans less of its pictures may be no laser line at all."""
@@ -294,3 +302,170 @@ def _print_slices(measures: SandwaveMeasures) -> None:
         for name, cut in measures.errors.items()
     ]
     print_table("slices", ["", "points", "unseen", "rmse mm", "min mm", "max mm"], rows)
+
+
+# The command ``lscan compare``: a thin face over lscan.measure.meshes.
+
+
+def compare(
+    surface: Annotated[Path, typer.Argument(help="Surface (.nc).")],
+    mesh: Annotated[Path, typer.Argument(help="Mesh file: PLY, STL, OBJ or OFF.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="JSON file to write.")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Of the mesh: mm, cm, m or inch.")] = "mm",
+    at: Annotated[
+        str, typer.Option(help="x,y,z of the mesh's origin in the surface's frame, mm.")
+    ] = "0,0,0",
+    turn: Annotated[float, typer.Option(help="Of the mesh about z, degrees.")] = 0.0,
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Find the pose from the points, starting from that.")
+    ] = False,
+    within: Annotated[
+        float, typer.Option(help="mm; points farther off the mesh are not compared.")
+    ] = 10.0,
+    points: Annotated[
+        Path | None, typer.Option(help="Points coloured by distance to write (.ply).")
+    ] = None,
+    histogram: Annotated[
+        Path | None, typer.Option(help="Histogram of the distances to write (.png).")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compare a surface with a mesh: the signed distances of its points."""
+    from lscan.files.disk import write_json
+    from lscan.files.meshes import MM_PER_UNIT, TWICE, load_mesh
+    from lscan.measure.meshes import (
+        MeshPose,
+        compare_mesh,
+        save_coloured_points,
+        save_histogram,
+    )
+    from lscan.surface import load_surface
+
+    require_folders(output, points, histogram)
+    if unit not in MM_PER_UNIT:
+        raise InputError("no such unit", where="--unit", value=unit, allowed=", ".join(MM_PER_UNIT))
+    if not (np.isfinite(within) and within > 0):
+        raise InputError("is not a distance", where="--within", value=within, allowed="> 0 mm")
+    if not np.isfinite(turn):
+        raise InputError("is not an angle", where="--turn", value=turn, allowed="degrees")
+    pose = MeshPose.at(_place(at), turn)
+    shape = load_mesh(mesh, MM_PER_UNIT[unit])
+    found = compare_mesh(load_surface(surface), shape, pose, fit, within)
+    if TWICE in shape.metadata:
+        note(f"{mesh} {shape.metadata[TWICE]}")
+    if output:
+        write_json(output, found.as_json())
+    if points:
+        save_coloured_points(points, found)
+    if histogram:
+        save_histogram(histogram, found)
+    if json:
+        print_json(found.as_json())
+        return
+    summary = found.as_json()
+    low, high = summary["central_95_mm"]
+    rows = [
+        ["points", summary["points"]],
+        [f"not compared: farther than {within:g} mm", summary["far"]],
+        ["not compared: beside the mesh", summary["beside"]],
+        ["mean mm", summary["mean_mm"]["value"]],
+        ["its sigma mm", summary["mean_mm"]["sigma"]],
+        ["rms mm", summary["rms_mm"]],
+        ["95 % between mm", f"{low:.3f} and {high:.3f}"],
+        ["within 2 sigma", summary["within_2_sigma"]],
+    ]
+    if fit:
+        rows += _pose_rows(found.pose)
+    print_table("distances from the mesh", ["", ""], rows)
+
+
+def _pose_rows(pose: MeshPose) -> list[list[str]]:
+    """Where a mesh lies, as a scene file states it."""
+    from scipy.spatial.transform import Rotation
+
+    turns = Rotation.from_matrix(pose.rotation).as_euler("xyz", degrees=True)
+    return [
+        ["mesh at x, y, z mm", ", ".join(f"{mm:.3f}" for mm in pose.translation_mm)],
+        ["turned about x, y, z deg", ", ".join(f"{turn:.3f}" for turn in turns)],
+    ]
+
+
+def _place(text: str) -> tuple[float, float, float]:
+    """(x, y, z) of "x,y,z"; InputError where it is none."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not np.isfinite(numbers).all() or np.abs(numbers).max() > 1e6:
+        raise InputError("not a point", where="--at", value=text, allowed="x,y,z in mm")
+    return numbers[0], numbers[1], numbers[2]
+
+
+# The command ``lscan report``: a thin face over lscan.paper.
+
+
+_LEFT_OUT = ("\nmm", "\n%")  # columns of the page that a terminal has no room for
+
+
+def report(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="Folder for report.html and results.json.")
+    ],
+    board: Annotated[Path, typer.Option(help="Run folder of the board picture.")],
+    groove: Annotated[Path | None, typer.Option(help="Run folder of the grooved block.")] = None,
+    sandwave: Annotated[Path | None, typer.Option(help="Run folder of the sandwave.")] = None,
+    trust: Trust = False,
+    json: Json = False,
+) -> None:
+    """Evaluate the paper's experiment from its run folders and write the page."""
+    from lscan.acquisition.run import open_run
+    from lscan.paper.experiment import evaluate
+    from lscan.paper.report import results_json, write_experiment
+
+    with progress_bar("evaluate") as progress:
+        experiment = evaluate(
+            open_run(board, trust),
+            open_run(groove, trust) if groove else None,
+            open_run(sandwave, trust) if sandwave else None,
+            progress=progress,
+        )
+    write_experiment(output, experiment)
+    if json:
+        print_json(results_json(experiment))
+    else:
+        print_chains(experiment)
+        print(f"{output / 'report.html'}")
+
+
+def print_chains(experiment: Experiment) -> None:
+    """Print where a report's pictures come from, and the errors of both chains side by side.
+
+    Parameters
+    ----------
+    experiment : Experiment, as the report shows it
+    """
+    from lscan.paper.experiment import chain_names, describe_chains, note
+    from lscan.paper.published import Bars
+    from lscan.paper.tables import paper_tables
+
+    for line in filter(None, (note(experiment.sources), describe_chains(experiment))):
+        print(line)
+    names = [name.removeprefix("Ours, ") for name in chain_names(experiment.chain)]
+    for table in paper_tables(experiment, Bars()):
+        if table.chains is not None:
+            _print_block(f"{table.title}, mm", table.chains, names)
+
+
+def _print_block(title: str, block: TableBlock, names: Sequence[str]) -> None:
+    """The columns of errors and their sigmas: all of them are too many for a terminal."""
+    groups = [("paper", block.paper_heads)]
+    groups += [(name, block.our_heads) for name in (names if block.has_best else names[:1])]
+    columns = [f"{name}\n{head}" for name, heads in groups for head in heads]
+    kept = [k for k, column in enumerate(columns) if not column.endswith(_LEFT_OUT)]
+    rows = []
+    for row in block.rows:
+        cells = [cell.text for cell in row.paper + row.ours + row.best]
+        rows.append([row.label, *(cells[k] for k in kept)])
+    print_table(title, [block.names, *(columns[k] for k in kept)], rows)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from lscan.cli.arguments import Json, require_folders
-from lscan.cli.console import note, print_json, print_table, progress_bar
+from lscan.cli.console import Json, note, print_json, print_table, progress_bar, require_folders
 from lscan.errors import InputError
 
 if TYPE_CHECKING:

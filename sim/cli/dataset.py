@@ -5,8 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from lscan.cli.arguments import Json
-from lscan.cli.console import keep_notes_when_stopped, note, print_json, progress_bar
+from lscan.cli.console import Json, keep_notes_when_stopped, note, print_json, progress_bar
 from lscan.errors import InputError
 from sim.cli.arguments import OutputFolder
 from sim.cli.study import MOST_WORKERS

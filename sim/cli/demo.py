@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lscan.cli.arguments import Json
-from lscan.cli.console import print_json, print_table
-from lscan.cli.report import print_chains
+from lscan.cli.console import Json, print_json, print_table
+from lscan.cli.measure import print_chains
 from lscan.config.scenes import scenes_folder
 from sim.cli.arguments import OutputFolder, PaperFolder, Quick
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lscan.cli.arguments import Json
-from lscan.cli.console import print_json, print_table, progress_bar
+from lscan.cli.console import Json, print_json, print_table, progress_bar
 from lscan.config.scenes import scenes_folder
 from sim.cli.arguments import OutputFile, OutputFolder, PaperFolder, Quick, ScenesFolder
 

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lscan.cli.arguments import Json
-from lscan.cli.console import progress_bar
+from lscan.cli.console import Json, progress_bar
 from lscan.errors import InputError
 from sim.cli.arguments import OutputFolder, SceneFile, print_places
 

@@ -9,8 +9,7 @@ from typing import Annotated
 
 import typer
 
-from lscan.cli.arguments import Json
-from lscan.cli.console import note, print_json, progress_bar
+from lscan.cli.console import Json, note, print_json, progress_bar
 from lscan.devices.signals import ignore_stop_signals, on_stop_signals
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, read_text

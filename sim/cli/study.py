@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 
-from lscan.cli.arguments import Json
 from lscan.cli.console import (
+    Json,
     keep_notes_when_stopped,
     note,
     print_json,

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lscan.cli.arguments import Json
-from lscan.cli.console import command_line, progress_bar
+from lscan.cli.console import Json, command_line, progress_bar
 from lscan.errors import InputError
 from sim.cli.arguments import print_places
 from sim.cli.study import MOST_WORKERS

@@ -11,8 +11,7 @@ from command_line import call
 
 from lscan.calibration.planemap import find_solver
 from lscan.cli import console
-from lscan.cli.arguments import EXTRACTORS, MAPS
-from lscan.cli.console import note, print_table, progress_bar
+from lscan.cli.console import EXTRACTORS, MAPS, note, print_table, progress_bar
 from lscan.config.scenes import scene_about, scene_names, spec_names
 from lscan.records import Length
 from sim.cli.study import STUDIES

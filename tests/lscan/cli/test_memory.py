@@ -4,7 +4,7 @@ import ctypes
 
 import pytest
 
-from lscan.cli.memory import keep_freed_memory
+from lscan.cli.console import keep_freed_memory
 
 
 def test_glibc_is_asked_to_keep_what_is_freed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ import pytest
 import report_examples as examples
 
 from lscan.acquisition.run import Run
-from lscan.cli.report import print_chains
+from lscan.cli.measure import print_chains
 from lscan.config.rig import parse_rig
 from lscan.paper import published as paper
 from lscan.paper.experiment import (

@@ -29,7 +29,7 @@ from lscan.calibration.metric.solve import (
 from lscan.calibration.metric.views import CalibrationView, load_views, read_views
 from lscan.calibration.planemap import find_solver, without
 from lscan.camera import CameraModel, project
-from lscan.cli.multiview import calibrate_metric as command
+from lscan.cli.calibrate import calibrate_metric as command
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture, write_picture

@@ -9,12 +9,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lscan.cli.arguments import EXTRACTORS, Json, Overlay, PictureOrRun, Trust, require_folders
-from lscan.cli.console import note, print_json
+from lscan.cli.console import (
+    EXTRACTORS,
+    Json,
+    Overlay,
+    PictureOrRun,
+    Trust,
+    note,
+    print_json,
+    require_folders,
+)
 
 if TYPE_CHECKING:
     from lscan.config.rig import Rig, StripeSection
     from lscan.records import Bytes, Ints, Mask, PlanePoints, Stripe
+
 
 BOTH = "both"
 RETURNS = ("brightest", "first", "last", BOTH)
