@@ -27,14 +27,12 @@ from lscan.measure import (
     diameters as diameters,
     distances as distances,
 )
-from lscan.measurement import (
-    measure_groove as measure_groove,
-    measure_run as measure_run,
-    measure_sandwave as measure_sandwave,
-)
 from lscan.pipeline import (
     calibrate_run as calibrate_run,
     mean_picture as mean_picture,
+    measure_groove as measure_groove,
+    measure_run as measure_run,
+    measure_sandwave as measure_sandwave,
     reconstruct as reconstruct,
 )
 from lscan.records import (

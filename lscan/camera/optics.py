@@ -9,8 +9,7 @@ from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Floats
 from lscan.water import refractive_index
-from lscan.water.density import ATMOSPHERE_MPA
-from lscan.water.index import SALINITY_PSU, TEMPERATURE_C
+from lscan.water.index import ATMOSPHERE_MPA, SALINITY_PSU, TEMPERATURE_C
 
 
 @dataclass(frozen=True)

@@ -379,7 +379,7 @@ def calibrate_shaft(
 ) -> None:
     """Find a rotary axis from the scan of a workpiece whose shape is known."""
     from lscan.cli.inputs import open_calibrated
-    from lscan.measurement import find_shaft
+    from lscan.pipeline import find_shaft
     from lscan.surface.shaft import save_shaft, section_of
 
     require_folders(output)

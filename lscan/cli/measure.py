@@ -1,4 +1,4 @@
-"""The commands ``lscan reconstruct`` and ``lscan measure``: thin faces over lscan.measurement."""
+"""The commands ``lscan reconstruct`` and ``lscan measure``: thin faces over lscan.pipeline."""
 
 from __future__ import annotations
 
@@ -31,10 +31,9 @@ if TYPE_CHECKING:
     from lscan.config.rig import Rig
     from lscan.measure.meshes import MeshPose
     from lscan.measure.shapes import ShapeMeasure
-    from lscan.measurement import Measures, SandwaveMeasures
     from lscan.paper.experiment import Experiment
     from lscan.paper.tables import TableBlock
-    from lscan.pipeline import Reconstruction
+    from lscan.pipeline import Measures, Reconstruction, SandwaveMeasures
     from lscan.records import Length, Surface
 
 
@@ -64,7 +63,7 @@ def reconstruct(
     from lscan.cli.inputs import open_calibrated
     from lscan.config.targets import Sandwave
     from lscan.errors import MeasurementError
-    from lscan.measurement import require_piece
+    from lscan.pipeline import require_piece
     from lscan.records import has_value
     from lscan.surface import save_points, save_surface
     from lscan.surface.align.alignment import save_alignment as keep_alignment
@@ -164,7 +163,7 @@ def measure(
 def _measured(run: Path, calibration: Path | None, shaft: Path | None, trust: bool) -> Measures:
     """What the run shows of the piece that its rig names."""
     from lscan.cli.inputs import open_calibrated
-    from lscan.measurement import SandwaveMeasures, measure_run
+    from lscan.pipeline import SandwaveMeasures, measure_run
 
     opened, plane_map = open_calibrated(run, _required(calibration, run), shaft, trust)
     with progress_bar("measure") as progress:
@@ -258,7 +257,7 @@ def _note_scale(surface: Surface, rig: Rig) -> None:
 
 
 def _print_measures(measures: Measures) -> None:
-    from lscan.measurement import BoardMeasures, GrooveMeasures
+    from lscan.pipeline import BoardMeasures, GrooveMeasures
 
     if isinstance(measures, GrooveMeasures):
         _print_lengths("groove", measures.dimensions)

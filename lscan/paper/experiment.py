@@ -9,16 +9,19 @@ from lscan.board import read_board
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.rig import Rig
 from lscan.errors import InputError, LscanError
-from lscan.measurement import (
+from lscan.paper.published import CHOSEN_MAP
+from lscan.pipeline import (
     BoardMeasures,
     GrooveMeasures,
     SandwaveMeasures,
+    board_expected,
+    mean_picture,
     measure_groove,
     measure_reading,
     measure_sandwave,
+    require_board,
+    require_size,
 )
-from lscan.paper.published import CHOSEN_MAP
-from lscan.pipeline import board_expected, mean_picture, require_board, require_size
 from lscan.records import BoardReading, Bytes, Progress, Stripe
 from lscan.stripe import extract_stripe
 

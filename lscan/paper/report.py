@@ -13,11 +13,11 @@ from typing import Any
 from lscan.calibration.calibrationfile import save_calibration
 from lscan.figures.style import ReportFigure
 from lscan.files.disk import make_folder, write_atomically, write_json
-from lscan.measurement import lengths_json
 from lscan.paper import experiment as provenance
 from lscan.paper.experiment import Experiment, chain_versions
 from lscan.paper.published import MISPRINTS, Bars
 from lscan.paper.tables import checks, paper_tables
+from lscan.pipeline import lengths_json
 from lscan.surface import save_points, save_surface
 
 

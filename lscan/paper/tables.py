@@ -9,7 +9,6 @@ import numpy as np
 from lscan.figures.style import signed
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
-from lscan.measurement import BoardMeasures
 from lscan.paper import published as paper
 from lscan.paper.experiment import Experiment
 from lscan.paper.published import (
@@ -23,6 +22,7 @@ from lscan.paper.published import (
     PrintedLength,
     PrintedTable,
 )
+from lscan.pipeline import BoardMeasures
 from lscan.records import Length
 
 Lengths = Mapping[str, Length]

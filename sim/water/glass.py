@@ -6,7 +6,7 @@ from math import sqrt
 
 from lscan.errors import InputError
 from lscan.files.disk import packaged_table
-from lscan.water.limits import Limits, require
+from lscan.water.index import Limits, require
 
 INDEX = (1.0, 2.5)  # what a scene file may name as a number
 

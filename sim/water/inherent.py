@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.files.disk import packaged_table
-from lscan.water.index import SALINITY_PSU, TEMPERATURE_C
-from lscan.water.limits import require
+from lscan.water.index import SALINITY_PSU, TEMPERATURE_C, require
 from sim.scene.matter import Water
 
 TABLES = packaged_table("sim.water", "tables.toml")

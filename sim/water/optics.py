@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from lscan.records import Floats
-from lscan.water.index import refractive_index
-from lscan.water.limits import require
+from lscan.water.index import refractive_index, require
 from sim.scene.matter import Water
 from sim.water.fournier import FournierForand
 from sim.water.inherent import WATER_NM, coefficients

@@ -18,7 +18,7 @@ from lscan.calibration.calibrationfile import load_plane_map
 from lscan.cli.app import app
 from lscan.config.targets import Sandwave
 from lscan.measure import compare_slice
-from lscan.measurement import SandwaveMeasures, measure_sandwave
+from lscan.pipeline import SandwaveMeasures, measure_sandwave
 from lscan.records import has_value
 from lscan.surface import load_surface, resample
 

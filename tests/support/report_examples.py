@@ -17,7 +17,6 @@ from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.board import Board, load_board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.measure import SliceErrors
-from lscan.measurement import BoardMeasures, GrooveMeasures, SandwaveMeasures
 from lscan.paper.experiment import (
     METHODS,
     BoardResult,
@@ -30,6 +29,7 @@ from lscan.paper.experiment import (
     RenderCheck,
 )
 from lscan.paper.published import TABLE_1, TABLE_2, TABLE_3
+from lscan.pipeline import BoardMeasures, GrooveMeasures, SandwaveMeasures
 from lscan.records import (
     BoardReading,
     Bytes,

@@ -16,7 +16,7 @@ from lscan.cli.app import app
 from lscan.cli.inputs import open_calibrated
 from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
-from lscan.measurement import measure_sandwave
+from lscan.pipeline import measure_sandwave
 from lscan.records import Floats, Status
 from sim.demo import stripe_errors
 from sim.render.tank import Tank

