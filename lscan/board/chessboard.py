@@ -396,8 +396,8 @@ def read_charuco(
     corners, numbers = _charuco_corners(picture, board)
     if len(numbers) < FEWEST_CORNERS:
         raise BoardNotFound(
-            f"only {len(numbers)} corners of the ChArUco board were found, {FEWEST_CORNERS} are needed: "
-            + _markers_in_words(picture, size, dictionary)
+            f"only {len(numbers)} corners of the ChArUco board were found, "
+            f"{FEWEST_CORNERS} are needed: " + _markers_in_words(picture, size, dictionary)
         )
     seen = np.full((rows, columns, 2), np.nan)
     seen[np.divmod(numbers, columns)] = corners

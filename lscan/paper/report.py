@@ -13,8 +13,16 @@ from typing import Any
 from lscan.calibration.calibrationfile import save_calibration
 from lscan.figures.style import ReportFigure
 from lscan.files.disk import make_folder, write_atomically, write_json
-from lscan.paper import experiment as provenance
-from lscan.paper.experiment import Experiment, chain_versions
+from lscan.paper.experiment import (
+    Experiment,
+    Sources,
+    chain_names,
+    chain_versions,
+    describe_chains,
+    noise_words,
+    note,
+    simulated_parts,
+)
 from lscan.paper.published import MISPRINTS, Bars
 from lscan.paper.tables import checks, paper_tables
 from lscan.pipeline import lengths_json
@@ -52,7 +60,7 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
 
     bars = bars or Bars()
     sources = experiment.sources
-    simulated = provenance.simulated_parts(sources)
+    simulated = simulated_parts(sources)
     sections = _sections(experiment, bars)
     scripts = [figure.script for part in sections.values() for figure in part if figure.script]
     tables = [
@@ -63,13 +71,13 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
         scene=experiment.scene,
         sources=sources,
         simulated=simulated,
-        noise=provenance.noise_words(simulated.values()),
-        chains=provenance.describe_chains(experiment),
-        names=provenance.chain_names(experiment.chain),
-        versions=provenance.chain_versions(experiment),
+        noise=noise_words(simulated.values()),
+        chains=describe_chains(experiment),
+        names=chain_names(experiment.chain),
+        versions=chain_versions(experiment),
         seconds=experiment.seconds,
         checks=checks(experiment, bars),
-        checks_note=provenance.note(sources),
+        checks_note=note(sources),
         tables=tables,
         sections=sections,
         misprints=MISPRINTS,
@@ -93,9 +101,9 @@ def _sections(experiment: Experiment, bars: Bars) -> dict[str, list[ReportFigure
     }
 
 
-def _noted(caption: str, sources: provenance.Sources, parts: Sequence[str]) -> str:
+def _noted(caption: str, sources: Sources, parts: Sequence[str]) -> str:
     """The caption, saying where the pictures of these parts come from."""
-    return f"{caption} {provenance.note(sources, parts)}".rstrip()
+    return f"{caption} {note(sources, parts)}".rstrip()
 
 
 def _unbroken(text: str) -> str:

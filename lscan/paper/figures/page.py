@@ -4,14 +4,7 @@ from collections.abc import Sequence
 
 from lscan.figures.style import ReportFigure
 from lscan.paper.experiment import Experiment, LinePictures
-from lscan.paper.figures import (
-    pictures as board,
-    pictures as stripes,
-    surfaces as contours,
-    surfaces as interactive,
-    surfaces as relief,
-    surfaces as slices,
-)
+from lscan.paper.figures import pictures, surfaces
 from lscan.paper.published import Bars
 from lscan.pipeline import SandwaveMeasures
 
@@ -23,13 +16,13 @@ Shown = tuple[Sequence[ReportFigure], tuple[str, ...]]
 
 def page_figures(experiment: Experiment, bars: Bars) -> dict[str, list[Shown]]:
     """The figures by the heading they stand under; none for pieces that were not scanned."""
-    calibration, sensitivity = board.board_figures(experiment.board)
+    calibration, sensitivity = pictures.board_figures(experiment.board)
     shown, sandwave = experiment.shown, experiment.sandwave
     sections: dict[str, list[Shown]] = {"Calibration": [(calibration, ("board",))]}
     if shown:
         sections["The laser line"] = lines = []
         if "groove" in shown:
-            lines.append(([stripes.groove_snapshot(shown["groove"])], ("groove",)))
+            lines.append(([pictures.groove_snapshot(shown["groove"])], ("groove",)))
         if "sandwave" in shown:
             lines.append((_sandwave_lines(shown["sandwave"]), ("sandwave",)))
     if sandwave is not None:
@@ -40,27 +33,27 @@ def page_figures(experiment: Experiment, bars: Bars) -> dict[str, list[Shown]]:
     return sections
 
 
-def _sandwave_lines(pictures: LinePictures) -> list[ReportFigure]:
-    column = stripes.lit_column(pictures)
+def _sandwave_lines(shown: LinePictures) -> list[ReportFigure]:
+    column = pictures.lit_column(shown)
     return [
-        stripes.sandwave_snapshot(pictures, column),
-        stripes.column_intensities(pictures.images, column),
+        pictures.sandwave_snapshot(shown, column),
+        pictures.column_intensities(shown.images, column),
     ]
 
 
 def _surface(sandwave: SandwaveMeasures) -> list[ReportFigure]:
-    waves = contours.on_the_waves(sandwave)
+    waves = surfaces.on_the_waves(sandwave)
     return [
-        relief.raw_relief(sandwave.raw.xyz_mm),
-        relief.levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment),
-        contours.contours_before(sandwave, waves),
-        contours.contours_after(sandwave, waves),
-        interactive.surface_to_turn(sandwave.aligned.xyz_mm, waves),
+        surfaces.raw_relief(sandwave.raw.xyz_mm),
+        surfaces.levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment),
+        surfaces.contours_before(sandwave, waves),
+        surfaces.contours_after(sandwave, waves),
+        surfaces.surface_to_turn(sandwave.aligned.xyz_mm, waves),
     ]
 
 
 def _slices(sandwave: SandwaveMeasures, bar_mm: float) -> list[ReportFigure]:
     return [
-        slices.slice_plot(name, cut, sandwave.errors[name], _SLICE_FIGURES.get(name, ""), bar_mm)
+        surfaces.slice_plot(name, cut, sandwave.errors[name], _SLICE_FIGURES.get(name, ""), bar_mm)
         for name, cut in sandwave.slices.items()
     ]

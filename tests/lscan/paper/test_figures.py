@@ -20,13 +20,27 @@ from lscan.figures.style import cell_for, grid_heights, signed
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures
-from lscan.paper.figures import (
-    pictures as board,
-    pictures as stripes,
-    surfaces as contours,
-    surfaces as interactive,
-    surfaces as relief,
-    surfaces as slices,
+from lscan.paper.figures.pictures import (
+    RowFits,
+    board_picture,
+    column_intensities,
+    control_points,
+    groove_snapshot,
+    line_fits,
+    lit_column,
+    row_fits,
+    ruler,
+    sandwave_snapshot,
+    sensitivity,
+)
+from lscan.paper.figures.surfaces import (
+    contours_after,
+    contours_before,
+    levelled_relief,
+    on_the_waves,
+    raw_relief,
+    slice_plot,
+    surface_to_turn,
 )
 from lscan.records import Status, Stripe
 from lscan.surface import Slice
@@ -78,8 +92,8 @@ def test_cell_is_no_finer_than_the_scan_nor_than_the_page_can_carry():
 
 
 def test_svg_is_stable_follows_the_theme_and_keeps_its_ids_apart():
-    row = board.row_fits(examples.board_alone().board)
-    first, again = board.line_fits(row), board.line_fits(row)
+    row = row_fits(examples.board_alone().board)
+    first, again = line_fits(row), line_fits(row)
     assert first == again
     ids = re.findall(r' id="([^"]+)"', first.body)
     assert ids and all(name.startswith("line-fits-") for name in ids)
@@ -129,7 +143,7 @@ def test_marks_without_a_place_are_not_drawn():
 def test_control_points_counts_what_was_found():
     reading = examples.reading(np.random.default_rng(1))
     image = np.zeros((480, 640), np.uint8)
-    figure = board.control_points(image, reading)
+    figure = control_points(image, reading)
     found = int(reading.grid.found.sum())
     assert f"{found} of 100 control points" in figure.caption
     assert "230 of 230 marks of 5 rulers" in figure.caption
@@ -137,27 +151,27 @@ def test_control_points_counts_what_was_found():
         np.linalg.norm(np.diff(row, axis=0), axis=1).mean()
         for row in reading.grid.image_px.reshape(10, 10, 2)[[0, -1]]
     )
-    caption = board.board_picture(image, reading).caption
+    caption = board_picture(image, reading).caption
     assert f"{top:.1f} px apart in the top row" in caption
     assert f"{bottom:.1f} px in the bottom row" in caption
 
 
-def _row(points: np.ndarray, curves: dict[str, np.ndarray], **shifted: object) -> board.RowFits:
+def _row(points: np.ndarray, curves: dict[str, np.ndarray], **shifted: object) -> RowFits:
     """A row whose fits are these, the others lying on the points."""
     curves = dict.fromkeys(board.FITS, points) | curves
-    return board.RowFits(points, curves, **{"shifted_px": points, "shifted_curves": {}} | shifted)
+    return RowFits(points, curves, **{"shifted_px": points, "shifted_curves": {}} | shifted)
 
 
 def test_line_fits_report_their_residuals():
     u = np.arange(0.0, 100.0, 10.0)
     points = np.column_stack([u, np.where(np.arange(10) % 2, 3.0, 5.0)])
     level = np.array([[0.0, 4.0], [90.0, 4.0]])  # 1 px off every point
-    figure = board.line_fits(_row(points, {"graticule-1": level}))
+    figure = line_fits(_row(points, {"graticule-1": level}))
     assert "first-order rms 1.00 px rms, 1.00 px at most" in figure.caption
     assert "cubic B-spline 0.00 px rms" in figure.caption
     assert figure.body.count("px rms off the control points") == 3
     turned = {"graticule-1": level[::-1], "graticule-bspline": points[::-1]}
-    assert board.line_fits(_row(points, turned)).caption == figure.caption
+    assert line_fits(_row(points, turned)).caption == figure.caption
 
 
 def test_sensitivity_reports_move_and_inflections():
@@ -174,7 +188,7 @@ def test_sensitivity_reports_move_and_inflections():
             shifted_px=shifted,
             shifted_curves={"graticule-2": moved},
         )
-        return board.sensitivity(row, "graticule-2", "Fig. 34").caption
+        return sensitivity(row, "graticule-2", "Fig. 34").caption
 
     assert "by up to 0.75 px" in caption(after)
     assert "other way by up to 0.25 px" in caption(after)
@@ -185,7 +199,7 @@ def test_sensitivity_reports_move_and_inflections():
 
 def test_the_shifted_point_moves_its_own_row_alone():
     """The spline goes through the point that was moved up by a pixel; a quadratic averages."""
-    row = board.row_fits(examples.board_alone().board)
+    row = row_fits(examples.board_alone().board)
     shift = row.shifted_px - row.points_px
     assert np.count_nonzero(shift) == 1 and shift[5, 1] == -1.0
     moved = {}
@@ -199,7 +213,7 @@ def test_the_shifted_point_moves_its_own_row_alone():
 
 def test_ruler_reports_the_size_of_a_pixel():
     px = np.arange(0.0, 100.0, 8.0)
-    figure = board.ruler(DrawnConversion("vertical", 4.0, px, -1.25 * px, px, -1.25 * px))
+    figure = ruler(DrawnConversion("vertical", 4.0, px, -1.25 * px, px, -1.25 * px))
     assert "13 marks of ruler at x = 4 mm" in figure.caption
     assert "1.25 to 1.25 mm" in figure.caption
     assert "v / px" in figure.body and "z / mm" in figure.body
@@ -217,7 +231,7 @@ def _paper_frames() -> list[np.ndarray]:
 
 
 def test_column_intensities_give_the_papers_centres():
-    caption = stripes.column_intensities(_paper_frames(), paper.COLUMN).caption
+    caption = column_intensities(_paper_frames(), paper.COLUMN).caption
     for centre in (*paper.CENTRES_RAW_PX[:2], *paper.CENTRES_RELATIVE_PX[:2]):
         assert f"{centre:.4f}" in caption
     # Frame 3 as its printed pixels give it (paper.MISPRINTS).
@@ -227,7 +241,7 @@ def test_column_intensities_give_the_papers_centres():
 
 def test_column_without_a_line_is_said_to_have_none():
     frames = [np.zeros((48, 64, 3), np.uint8)] * 3
-    assert "finds no line" in stripes.column_intensities(frames, 10).caption
+    assert "finds no line" in column_intensities(frames, 10).caption
 
 
 def _stripe(lit: list[int], width: int = 640) -> Stripe:
@@ -242,19 +256,19 @@ def _pictures(lit: list[int], width: int = 640) -> LinePictures:
 
 
 def test_lit_column_is_the_papers_or_the_nearest_with_a_line():
-    assert stripes.lit_column(_pictures([100, 320, 330])) == 320
-    assert stripes.lit_column(_pictures([100, 300, 331])) == 331
-    assert stripes.lit_column(_pictures([])) == 320
-    assert stripes.lit_column(_pictures([], width=64)) == 63
+    assert lit_column(_pictures([100, 320, 330])) == 320
+    assert lit_column(_pictures([100, 300, 331])) == 331
+    assert lit_column(_pictures([])) == 320
+    assert lit_column(_pictures([], width=64)) == 63
     upright = dataclasses.replace(_stripe([7]), axis="rows")
     pictures = dataclasses.replace(_pictures([7]), stripe=upright)
-    assert stripes.lit_column(pictures) == 320
+    assert lit_column(pictures) == 320
 
 
 def test_snapshots_say_how_much_of_the_line_was_found():
     pictures = _pictures([10, 11, 12])
-    assert "3 of 640 columns" in stripes.groove_snapshot(pictures).caption
-    figure = stripes.sandwave_snapshot(pictures, 320)
+    assert "3 of 640 columns" in groove_snapshot(pictures).caption
+    figure = sandwave_snapshot(pictures, 320)
     assert "median standard uncertainty 0.100 px" in figure.caption
     assert "M320,0V480" in figure.body
 
@@ -274,13 +288,13 @@ def test_slice_reports_its_error_and_its_gaps():
         [-0.5, 2.0, np.nan, np.nan, np.nan],
         [Status.OK, Status.OK, Status.OCCLUDED, Status.OCCLUDED, Status.NO_DATA],
     )
-    figure = slices.slice_plot("S1", cut, errors, "Fig. 29", 1.5)
+    figure = slice_plot("S1", cut, errors, "Fig. 29", 1.5)
     assert "rmse 1.46 mm, from −0.50 to +2.00 mm; 50.0 % within ±1.5 mm" in figure.caption
     assert "Grey: 2 occluded, 1 no data, of 5 points" in figure.caption
     assert "two standard uncertainties" in figure.caption and "error / mm" in figure.body
     cut, errors = _slice([0.1, np.nan], [Status.OK, Status.OK])
     uncompared = dataclasses.replace(cut, z_mm=np.array([5.1, 7.0]))
-    caption = slices.slice_plot("S1", uncompared, errors, "", 1.5).caption
+    caption = slice_plot("S1", uncompared, errors, "", 1.5).caption
     assert "Measured but not compared: 1 points" in caption
 
 
@@ -289,7 +303,7 @@ def test_reliefs_say_tilt_count_and_corners():
     slope_x, slope_y = np.tan(np.radians([3.0, -2.0]))
     points = np.stack([x, y, slope_x * x + slope_y * y], axis=2)
     points[5, 5] = np.nan
-    caption = relief.raw_relief(points).caption
+    caption = raw_relief(points).caption
     assert "11,999 points of 200 profiles" in caption
     assert "+3.00° along x and −2.00° along y" in caption
     assert "one in 3 profiles drawn" in caption
@@ -297,7 +311,7 @@ def test_reliefs_say_tilt_count_and_corners():
 
 def test_the_levelled_relief_says_how_far_apart_the_corners_are():
     sandwave = examples.experiment().sandwave
-    figure = relief.levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment)
+    figure = levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment)
     left, right = (
         sandwave.alignment.to_raw(np.array([*corner, sandwave.alignment.base_mm]))
         for corner in Sandwave().wedge_tips_mm()
@@ -307,24 +321,24 @@ def test_the_levelled_relief_says_how_far_apart_the_corners_are():
 
 def test_contours_say_yaw_shift_and_slices():
     sandwave = examples.sandwave_measures(np.random.default_rng(1), examples.workpiece_mm(90, 160))
-    waves = contours.on_the_waves(sandwave)
-    before = contours.contours_before(sandwave, waves)
+    waves = on_the_waves(sandwave)
+    before = contours_before(sandwave, waves)
     turned = sandwave.raw.xyz_mm @ sandwave.alignment.rotation.T
     track = np.nanmax(turned[..., 1]) - np.nanmin(turned[..., 1])
     shift = track * np.tan(np.radians(2.2))
     assert f"{shift:.1f} mm over {track:.0f} mm at the yaw found, 2.200°" in before.caption
-    after = contours.contours_after(sandwave, waves)
+    after = contours_after(sandwave, waves)
     assert "Lines: the slices S1, S2, S3, SD." in after.caption
     assert ">S1</text>" in after.body
     alignment = dataclasses.replace(sandwave.alignment, yaw_rad=0.0, sheared=False)
     turned_about = dataclasses.replace(sandwave, alignment=alignment)
-    assert "°" not in contours.contours_before(turned_about, waves).caption
+    assert "°" not in contours_before(turned_about, waves).caption
 
 
 def test_surface_to_turn_is_plain_json_without_nan():
     points = examples.workpiece_mm(60, 60)
     points[20:30, 20:30] = np.nan
-    script = interactive.surface_to_turn(points, np.isfinite(points[..., 2])).script
+    script = surface_to_turn(points, np.isfinite(points[..., 2])).script
     assert script.startswith('Plotly.newPlot("surface", [{"type": "surface"')
     assert "NaN" not in script and "null" in script
 

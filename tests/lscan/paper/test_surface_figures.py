@@ -18,7 +18,7 @@ from matplotlib.transforms import Bbox
 from lscan.config.targets import Sandwave
 from lscan.figures import style
 from lscan.paper.experiment import Experiment
-from lscan.paper.figures import surfaces as contours
+from lscan.paper.figures.surfaces import contours_before
 from lscan.paper.report import render_report
 
 pytestmark = pytest.mark.xdist_group("report")
@@ -122,7 +122,7 @@ def test_a_surface_of_another_shape_has_few_enough_contours() -> None:
         # 300 mm high: every 10 mm; the other has no whole millimetre among its heights.
         points = examples.alignment().to_raw(np.stack([x, y, height], axis=2))
         sandwave = replace(examples.experiment().sandwave, raw=examples.surface(points, "head"))
-        figure = contours.contours_before(sandwave, np.ones(x.shape, dtype=bool))
+        figure = contours_before(sandwave, np.ones(x.shape, dtype=bool))
         assert f"Contours every {step_mm:g} mm" in figure.caption
 
 

@@ -9,10 +9,10 @@ from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
 from lscan.records import Status, has_value
-from lscan.stripe.extractors import rules as paper
+from lscan.stripe.extractors import rules
 
-ALL = [paper.maximum, paper.centroid, paper.centroid_relative]
-CENTROIDS = [paper.centroid, paper.centroid_relative]
+ALL = [rules.maximum, rules.centroid, rules.centroid_relative]
+CENTROIDS = [rules.centroid, rules.centroid_relative]
 ROUNDING = 1e-9  # float64 sums of a few hundred terms about pixel coordinates below 1000
 
 # Sec. V.B: first pixel and the five grey values about the nominal peak, frames 1 to 3.
@@ -67,8 +67,8 @@ def pictures(seed, columns=8, height=80, ground=30):
 def test_equation_8_gives_the_printed_results_of_frames_1_and_2(frame, raw, relative):
     image = column_of(*FRAMES[frame])
     printed = 0.5e-4  # four decimals
-    assert run(paper.centroid, image).centre_px[0] == pytest.approx(raw, abs=printed)
-    found = run(paper.centroid_relative, image).centre_px[0]
+    assert run(rules.centroid, image).centre_px[0] == pytest.approx(raw, abs=printed)
+    found = run(rules.centroid_relative, image).centre_px[0]
     assert found == pytest.approx(relative, abs=printed)
 
 
@@ -77,8 +77,8 @@ def test_frame_3_follows_from_its_printed_pixels_not_from_its_printed_results():
     # give 252.1894 and 252.5498.  The arithmetic is what can be tested.
     first, values = FRAMES[3]
     least = min(values)
-    raw = run(paper.centroid, column_of(first, values)).centre_px[0]
-    relative = run(paper.centroid_relative, column_of(first, values)).centre_px[0]
+    raw = run(rules.centroid, column_of(first, values)).centre_px[0]
+    relative = run(rules.centroid_relative, column_of(first, values)).centre_px[0]
     assert raw == pytest.approx(equation_8(first, values), abs=ROUNDING)
     assert relative == pytest.approx(
         equation_8(first, [value - least for value in values]), abs=ROUNDING
@@ -88,7 +88,7 @@ def test_frame_3_follows_from_its_printed_pixels_not_from_its_printed_results():
 
 @pytest.mark.parametrize(("frame", "peak"), [(1, 253), (2, 253), (3, 252)])
 def test_nominal_peak_is_the_underlined_pixel(frame, peak):
-    stripe = run(paper.maximum, column_of(*FRAMES[frame]))
+    stripe = run(rules.maximum, column_of(*FRAMES[frame]))
     assert stripe.centre_px[0] == peak
     assert stripe.peak[0] == 255  # above a black ground
 
@@ -117,7 +117,7 @@ def test_gain_does_not_move_the_line(extract, seed, gain):
     np.testing.assert_allclose(after.centre_px, before.centre_px, atol=ROUNDING)
 
 
-@pytest.mark.parametrize("extract", [paper.maximum, paper.centroid_relative])
+@pytest.mark.parametrize("extract", [rules.maximum, rules.centroid_relative])
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), offset=st.integers(-100, 100))
 def test_an_even_background_does_not_move_the_relative_line(extract, seed, offset):
@@ -130,7 +130,7 @@ def test_an_even_background_does_not_move_the_relative_line(extract, seed, offse
 
 def test_an_even_background_draws_the_raw_centroid_to_the_nominal_peak():
     image = gaussian_line(40.4, 1.0)
-    bare, veiled = (run(paper.centroid, image + veil) for veil in (0, 60))
+    bare, veiled = (run(rules.centroid, image + veil) for veil in (0, 60))
     assert 40 < veiled.centre_px[0] < bare.centre_px[0]
 
 
@@ -149,7 +149,7 @@ def test_upside_down_is_mirrored_where_the_maximum_is_single(extract, seed):
 @given(first=st.integers(3, 60), equal=st.integers(2, 10))
 def test_of_equal_maxima_the_first_from_the_top_is_the_peak(first, equal):
     image = column_of(first, [200] * equal, height=80)
-    assert run(paper.maximum, image).centre_px[0] == first
+    assert run(rules.maximum, image).centre_px[0] == first
 
 
 def test_two_equal_lines_give_the_upper_one():
@@ -198,7 +198,7 @@ def bias_bound(centre, width, span, relative):
 def test_noise_free_error_is_within_the_truncation_bound(extract, centre, width, span):
     assume(abs(centre % 1 - 0.5) > 1e-6)  # the nominal peak is the nearest pixel
     stripe = run(extract, gaussian_line(centre, width), StripeSection(span_px=span))
-    bound = bias_bound(centre, width, span, extract is paper.centroid_relative)
+    bound = bias_bound(centre, width, span, extract is rules.centroid_relative)
     assert abs(stripe.centre_px[0] - centre) <= bound + ROUNDING
 
 
@@ -215,7 +215,7 @@ def test_the_bias_vanishes_with_a_large_span(extract):
 def test_a_shift_by_part_of_a_pixel_shifts_the_line_within_the_bounds(centre, shift, width):
     places = np.array([centre, centre + shift])
     assume((np.abs(places % 1 - 0.5) > 1e-6).all())
-    stripe = run(paper.centroid_relative, gaussian_line(places, width), StripeSection(span_px=3))
+    stripe = run(rules.centroid_relative, gaussian_line(places, width), StripeSection(span_px=3))
     bounds = bias_bound(places, width, 3, relative=True)
     moved = stripe.centre_px[1] - stripe.centre_px[0]
     assert abs(moved - shift) <= bounds.sum() + ROUNDING
@@ -224,7 +224,7 @@ def test_a_shift_by_part_of_a_pixel_shifts_the_line_within_the_bounds(centre, sh
 @settings(max_examples=40)
 @given(centre=st.floats(30, 50), width=st.floats(0.5, 3.0))
 def test_the_brightest_pixel_is_within_half_a_pixel(centre, width):
-    stripe = run(paper.maximum, gaussian_line(centre, width))
+    stripe = run(rules.maximum, gaussian_line(centre, width))
     assert abs(stripe.centre_px[0] - centre) <= 0.5 + ROUNDING
 
 

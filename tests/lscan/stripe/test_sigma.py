@@ -7,7 +7,7 @@ from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
 from lscan.stripe import noise
-from lscan.stripe.extractors import rules as paper
+from lscan.stripe.extractors import rules
 
 HEIGHT, WIDTH = 480, 640
 
@@ -54,7 +54,7 @@ def photon_noise(rng, light):
 @pytest.mark.parametrize("add_noise", [reading_noise, photon_noise])
 def test_sigma_of_the_centroid_is_the_scatter_where_the_window_holds_the_line(add_noise):
     span, line_width = 8, 0.8  # the line ends 10 widths from the middle: nothing is cut off
-    pull = pulls(paper.centroid, StripeSection(span_px=span), line_width, add_noise, 10, seed=1)
+    pull = pulls(rules.centroid, StripeSection(span_px=span), line_width, add_noise, 10, seed=1)
     mean_square = (pull**2).mean()
     # 99.9 % of chi-square/N lies within 3.3 of its standard deviations.
     chance = 3.3 * np.sqrt(2 / len(pull))
@@ -69,7 +69,7 @@ def test_sigma_of_the_centroid_is_the_scatter_where_the_window_holds_the_line(ad
     assert (1 - chance) / (1 + choice + mistaken) <= mean_square <= 1 + chance
 
 
-@pytest.mark.parametrize("extract", [paper.maximum, paper.centroid, paper.centroid_relative])
+@pytest.mark.parametrize("extract", [rules.maximum, rules.centroid, rules.centroid_relative])
 @pytest.mark.parametrize("span", [2, 4])
 @pytest.mark.parametrize("line_width", [0.6, 1.0, 1.4, 2.0])
 def test_two_sigma_cover_the_truth_where_the_window_cuts_the_line(extract, span, line_width):
@@ -79,7 +79,7 @@ def test_two_sigma_cover_the_truth_where_the_window_cuts_the_line(extract, span,
     assert (np.abs(pull) <= 2).mean() >= 0.95
 
 
-@pytest.mark.parametrize("extract", [paper.centroid, paper.centroid_relative])
+@pytest.mark.parametrize("extract", [rules.centroid, rules.centroid_relative])
 @settings(max_examples=30)
 @given(values=st.permutations([20.0, 60.0, 110.0, 140.0]))
 def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
@@ -97,8 +97,8 @@ def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
     noise_only = noise.ROUNDING_VARIANCE * np.square(derivative).sum()
     window = column[8:13].T
     offset_of = {
-        paper.centroid: paper._centroid_offset,
-        paper.centroid_relative: paper._relative_offset,
+        rules.centroid: rules._centroid_offset,
+        rules.centroid_relative: rules._relative_offset,
     }
     _, slope = offset_of[extract](window)
     # Central differences of a ratio of sums near 500 DN err by about (1e-4 / 500)² and by
@@ -110,7 +110,7 @@ def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
 def test_sigma_of_the_brightest_pixel_is_that_of_rounding():
     rng = np.random.default_rng(3)
     _, light = gaussian_picture(rng, 0.8, 150.0)
-    stripe = run(paper.maximum, light)
+    stripe = run(rules.maximum, light)
     # A pixel is 1 px wide; two equally bright ones (within the rounding of grey values) are 2.
     doubtful = stripe.sigma_px > 1.5 / np.sqrt(12)
     np.testing.assert_allclose(stripe.sigma_px[~doubtful], 1 / np.sqrt(12), rtol=1e-12)
