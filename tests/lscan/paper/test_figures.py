@@ -21,6 +21,7 @@ from lscan.measure import SliceErrors
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures
 from lscan.paper.figures.pictures import (
+    FITS,
     RowFits,
     board_picture,
     column_intensities,
@@ -158,7 +159,7 @@ def test_control_points_counts_what_was_found():
 
 def _row(points: np.ndarray, curves: dict[str, np.ndarray], **shifted: object) -> RowFits:
     """A row whose fits are these, the others lying on the points."""
-    curves = dict.fromkeys(board.FITS, points) | curves
+    curves = dict.fromkeys(FITS, points) | curves
     return RowFits(points, curves, **{"shifted_px": points, "shifted_curves": {}} | shifted)
 
 
