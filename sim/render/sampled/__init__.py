@@ -1,0 +1,1 @@
+"""Integrators that sample light: the first order, and all orders where nothing else serves."""

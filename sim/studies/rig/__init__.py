@@ -1,0 +1,1 @@
+"""One rig of a study evaluated: its states, and its errors in either tier."""
