@@ -21,9 +21,8 @@ from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
 from sim.devices import load_checked
 from sim.scene import Scene
-from sim.scene.change import ChangingKey
 from sim.scene.instrument import Seed
-from sim.scene.numbers import number_at, with_numbers
+from sim.scene.varying import ChangingKey, number_at, with_numbers
 from sim.studies.distribution import Distribution
 
 POSITION = "plan.position_mm"  # of the head along the track, which is no number of the scene

@@ -17,8 +17,7 @@ from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
 from lscan.records import Progress, Status
 from sim.scene import SECTIONS, Scene, at_moment, scene_of
-from sim.scene.file import check_samples
-from sim.scene.moment import is_changing
+from sim.scene.file import check_samples, is_changing
 from sim.truth import board_truth, line_brightness, stripe_truths
 
 Row = tuple[Any, ...]  # of a table: numbers and words

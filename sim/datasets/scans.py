@@ -14,7 +14,7 @@ from sim.devices import exposure_of
 from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import Scene, at_moment
-from sim.scene.moment import is_changing
+from sim.scene.file import is_changing
 from sim.sensor import Webcam
 from sim.truth import StripeTruth, line_brightness, slice_visibility, stripe_truth, stripe_truths
 

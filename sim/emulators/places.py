@@ -14,7 +14,7 @@ from sim.helper import HelperProcess, started
 from sim.render.backend import sharing
 from sim.render.tank import Tank
 from sim.scene import Scene
-from sim.scene.moment import is_changing
+from sim.scene.file import is_changing
 from sim.sensor import Webcam
 from sim.sensor.still import StillView
 

@@ -10,7 +10,7 @@ from lscan.config.board import Board
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.meshes.parts import MeshPart, grid_faces, plain_mesh, plane_mesh
-from sim.scene.boarderrors import BoardErrors, TrueBoard
+from sim.scene.errors import BoardErrors, TrueBoard
 
 # A polygon of so many corners departs from its circle by 3e-4 of the radius: 1 µm on a dot.
 CIRCLE_CORNERS = 96

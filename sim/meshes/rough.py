@@ -9,7 +9,7 @@ import trimesh
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.meshes.parts import grid_faces, plain_mesh
-from sim.scene.rough import Ripples, RoughBlock
+from sim.scene.matter import Ripples, RoughBlock
 
 PADDING = 2
 """Sides of the periodic field that the block is cut from, in its own: opposite sides of the block

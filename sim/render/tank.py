@@ -42,7 +42,7 @@ class Tank:
     integrator: light of the first order.  higher: light of all higher orders, at random.
     gathers: whether the laser's light of higher orders is gathered instead.
 
-    A picture may have numbers of its own (sim.scene.moment), which ``take`` takes on.  Where the
+    A picture may have numbers of its own (sim.scene.file), which ``take`` takes on.  Where the
     head is, and how much light there is, costs nothing.  Where camera or sheets lie in the head,
     and the wavelength, cost the rays of a picture anew.  Of the light of higher orders that is
     gathered, what the line sends on, its halo and the glow on surfaces move with camera and

@@ -10,14 +10,15 @@ of shifting, and positions are arcs (lscan.config.rig.ShaftSection).
 
 from sim.scene.file import (
     SECTIONS,
+    Moment,
     Scene,
+    at_moment,
     floor_corners_mm,
     load_scene,
     scene_of,
     target_pose,
 )
 from sim.scene.instrument import Head, Laser, LaserLine, Lens, PlanePort, Port, Sensor, TrueShaft
-from sim.scene.moment import Moment, at_moment
 from sim.scene.poses import (
     Pose,
     camera_pose,

@@ -9,8 +9,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Pixels
 from lscan.config.scenes import CATALOGUE, FOLDERS, scenes_folder
+from sim.scene.errors import TrackErrors
 from sim.scene.instrument import Fraction, Glass
-from sim.scene.trackerrors import TrackErrors
 
 Standing = Literal["data sheet", "recalled", "estimated"]
 Mount = Literal["C", "CS", "M12"]

@@ -19,7 +19,7 @@ from lscan.calibration.check import carried
 from lscan.calibration.planemap import NamedSolver, find_solver, joined_marks, with_marks
 from lscan.records import BoardReading, Floats, Status, select
 from sim.scene import Pose, Scene, at_moment, into_world
-from sim.scene.moment import is_changing
+from sim.scene.file import is_changing
 from sim.studies.errors import ErrorFrame
 from sim.studies.places import PlacesInState, ScanPlaces, height_above, lit_points
 from sim.studies.prepared import Prepared, located

@@ -10,8 +10,7 @@ from lscan.config.documents import check
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene import Pose, Scene, rotation
-from sim.scene.change import Change
-from sim.scene.numbers import number_at, with_numbers
+from sim.scene.varying import Change, number_at, with_numbers
 from sim.studies.studyfile import Cause, Study
 from sim.truth.sheet import sheet_plane
 

@@ -256,7 +256,7 @@ def is_convex(parts: Sequence[MeshPart]) -> bool:
     """Whether all surfaces lie on one convex body, or nearly: nothing stands before any.
 
     An open surface that is not flat, as of a bowl, is seen from within too.  A board is open
-    where it is bent, too: what it hides of itself is negligible (sim.scene.boarderrors).
+    where it is bent, too: what it hides of itself is negligible (sim.scene.errors).
     """
     if not parts or {part.name for part in parts} == set(BOARD_PARTS):
         return True

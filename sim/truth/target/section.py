@@ -11,7 +11,7 @@ from sim.meshes import target_mesh
 from sim.meshes.board import plate_mesh
 from sim.meshes.parts import plain_mesh
 from sim.scene import Pose, Scene, floor_corners_mm, target_pose
-from sim.scene.boarderrors import TrueBoard
+from sim.scene.errors import TrueBoard
 from sim.truth.bow import Bow
 from sim.truth.target.chains import chains
 from sim.truth.target.mesh import Mesh

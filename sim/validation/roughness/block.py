@@ -26,7 +26,7 @@ from lscan.roughness import (
 )
 from sim.meshes.rough import rough_heights
 from sim.scene import Scene, into_world, load_scene, target_pose
-from sim.scene.rough import RoughBlock
+from sim.scene.matter import RoughBlock
 from sim.validation.accuracy.board import calibrations
 from sim.validation.accuracy.exposures import read_scan
 from sim.validation.roughness.effort import RoughnessEffort

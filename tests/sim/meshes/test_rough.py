@@ -11,7 +11,7 @@ from lscan.errors import InputError
 from lscan.records import Floats, Status
 from sim.meshes.rough import ripple_heights, rough_block_mesh, rough_density, rough_heights
 from sim.scene import Scene, into_world, load_scene, target_pose
-from sim.scene.rough import Ripples, RoughBlock
+from sim.scene.matter import Ripples, RoughBlock
 from sim.truth import stripe_truths
 
 SMALL: dict[str, Any] = {

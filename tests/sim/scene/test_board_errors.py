@@ -16,7 +16,7 @@ from lscan.records import Floats, Status
 from sim.meshes import scene_parts
 from sim.meshes.board import board_parts, plate_mesh
 from sim.scene import Scene, load_scene, scene_of
-from sim.scene.boarderrors import FACET_MM, BoardErrors, TrueBoard, parabola
+from sim.scene.errors import FACET_MM, BoardErrors, TrueBoard, parabola
 from sim.truth import board_truth, project, stripe_truth
 
 GRID = {"columns": 4, "rows": 3, "pitch_mm": 50.0, "dot_diameter_mm": 5.0}

@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings, strategies as st
 from lscan.camera.optics import CameraModel, fold_radius, undistort
 from lscan.records import Floats
 from sim.scene import Lens
-from sim.scene.distortion import is_folded
+from sim.scene.instrument import is_folded
 
 WIDTH, HEIGHT = 640, 480
 CORNER_PX = np.hypot(WIDTH, HEIGHT) / 2  # of a picture centred on the axis, to its outer edge

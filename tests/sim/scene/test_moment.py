@@ -13,8 +13,8 @@ from lscan.errors import InputError
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.render.tank import Tank
 from sim.scene import Scene, at_moment, head_pose, load_scene, scene_of, track_pose
-from sim.scene.change import Change
-from sim.scene.trackerrors import TrackErrors
+from sim.scene.errors import TrackErrors
+from sim.scene.varying import Change
 from sim.truth import sheet_of, stripe_truth
 
 DRAWS = 2000

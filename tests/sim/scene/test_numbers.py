@@ -5,7 +5,7 @@ from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
 from sim.scene import load_scene
-from sim.scene.numbers import number_at, with_numbers
+from sim.scene.varying import number_at, with_numbers
 
 SCENE = load_scene("paper/sandwave")
 KEYS = {

@@ -9,7 +9,7 @@ from lscan.stripe.noise import Noise
 from lscan.stripe.scatter import centre_bound_px
 from sim.render.tank import Tank
 from sim.scene import Scene
-from sim.scene.numbers import number_at, with_numbers
+from sim.scene.varying import number_at, with_numbers
 from sim.studies.geometric import GeometricRig
 from sim.studies.prepared import centres_in, exposed
 from sim.studies.scatter import centre_variance_px2, depends_on_light, line_bounds_px, lines_at

@@ -1,21 +1,159 @@
 """``[[change]]``: a number of the scene that is new in every picture."""
 
-from collections.abc import Iterable
-from math import pi, radians, sin
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from math import ceil, exp, log, pi, radians, sin, sqrt
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from zlib import crc32
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
 from scipy.special import ndtr
 
-from lscan.config.documents import Strict
+from lscan.config.documents import Strict, check
 from lscan.errors import InputError
 from sim.scene.instrument import Seed
-from sim.scene.numbers import number_at, with_numbers
-from sim.scene.randomness import unit_normal
 
 if TYPE_CHECKING:
     from sim.scene.file import Scene
+
+
+# A scene's numbers by their dotted keys, such as ``head.camera_mm.1``: read, and replaced.
+
+
+CAMERA = "camera"  # of the rig; all other sections are the tank's
+
+
+def number_at(scene: "Scene", key: str) -> float:
+    """The number that a key names.
+
+    Parameters
+    ----------
+    scene : Scene
+    key : str, section, field, and where the field holds several, which of them, from 0
+
+    Raises
+    ------
+    InputError
+        No number has that key.
+    """
+    section, field, *component = key.split(".")
+    model = _section(scene, section)
+    value = getattr(model, field, None) if field in type(model).model_fields else None
+    if component and isinstance(value, tuple):
+        index = component[0]
+        value = value[int(index)] if index.isdigit() and int(index) < len(value) else None
+    elif component:
+        value = None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(
+            "is the key of no number that can vary",
+            where=scene.source,
+            value=key,
+            allowed=f"a number of [{section}]: {', '.join(_numbers(model))}",
+        )
+    return float(value)
+
+
+def with_numbers(scene: "Scene", numbers: Mapping[str, float], where: str) -> "Scene":
+    """The scene with some of its numbers replaced, the sections they are in checked anew.
+
+    Parameters
+    ----------
+    scene : Scene
+    numbers : mapping, from keys to numbers
+    where : str, what an error names as the place of a number out of range
+
+    Raises
+    ------
+    InputError
+        No number has such a key, or one is out of its range.
+    """
+    fields: dict[str, dict[str, Any]] = defaultdict(dict)
+    for key, number in numbers.items():
+        number_at(scene, key)
+        section, field, *component = key.split(".")
+        value: Any = number
+        if component:
+            now = fields[section].get(field, getattr(_section(scene, section), field))
+            index = int(component[0])
+            value = (*now[:index], number, *now[index + 1 :])
+        fields[section][field] = value
+    checked = {}
+    for name, update in fields.items():
+        model = _section(scene, name)
+        checked[name] = check(type(model), {**dict(model), **update}, where, name)
+    rig = scene.rig.model_copy(update={k: v for k, v in checked.items() if k == CAMERA})
+    tank = scene.tank.model_copy(update={k: v for k, v in checked.items() if k != CAMERA})
+    return replace(scene, rig=rig, tank=tank)
+
+
+def _section(scene: "Scene", name: str) -> Strict:
+    section = scene.rig.camera if name == CAMERA else getattr(scene.tank, name, None)
+    if not isinstance(section, Strict):
+        named = [key for key in type(scene.tank).model_fields if key != "change"]
+        raise InputError(
+            "no such section of the scene",
+            where=scene.source,
+            value=name,
+            allowed=", ".join((CAMERA, *named)),
+        )
+    return section
+
+
+def _numbers(model: Strict) -> list[str]:
+    """The fields of a section that hold a number, or several."""
+    found = []
+    for name, value in model:
+        if isinstance(value, tuple) and value and all(isinstance(part, float) for part in value):
+            found.append(f"{name}.0 to .{len(value) - 1}")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            found.append(name)
+    return found
+
+
+# Random numbers of a picture: functions of a seed, a name and the picture's number alone.
+
+
+NEGLIGIBLE = 1e-12  # of a picture's number: what pictures before have on it, left out
+
+
+def unit_normal(seed: int, name: str, frame: int, correlation: float = 0.0) -> float:
+    """The value for a picture of a stationary normal process, of mean 0 and variance 1.
+
+    Values of pictures j apart have the correlation exp(-j / correlation): an autoregressive
+    process of the first order, written out as the sum of the white noise it is driven by, so
+    that no picture needs the one before.
+
+    Parameters
+    ----------
+    seed : int
+    name : str, of what is drawn: each name has a sequence of its own
+    frame : int, number of the picture
+    correlation : float, pictures; 0: white
+
+    References
+    ----------
+    Box and Jenkins, Time series analysis, chapter 3.
+    """
+    if correlation == 0:
+        return _white(seed, crc32(name.encode()), frame)
+    kept = exp(-1 / correlation)
+    first = max(0, frame - ceil(-correlation * log(NEGLIGIBLE)))
+    weights = sqrt(1 - kept**2) * kept ** np.arange(frame - first, -1, -1.0)
+    weights[0] /= sqrt(1 - kept**2)  # what came before the first one, summed up
+    return float(weights @ [_white(seed, crc32(name.encode()), k) for k in range(first, frame + 1)])
+
+
+@lru_cache(maxsize=1 << 16)  # neighbouring pictures have nearly all of them in common
+def _white(*stream: int) -> float:
+    return float(np.random.Generator(np.random.SFC64(stream)).standard_normal())
+
+
+# ``[[change]]``: a number of the scene that is new in every picture.
+
 
 ChangingKey = Literal[
     "head.turn_deg.0", "head.turn_deg.1", "head.turn_deg.2",
