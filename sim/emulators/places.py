@@ -16,7 +16,7 @@ from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.scene.file import is_changing
 from sim.sensor import Webcam
-from sim.sensor.still import StillView
+from sim.sensor.webcam import StillView
 
 NANOMETRE = 6  # decimals of a place in mm: finer, two places are one
 

@@ -1,6 +1,6 @@
 """The webcam's sensor: from radiance to electrons to digital numbers (EMVA 1288, linear)."""
 
-from sim.sensor.coding import digitise
+from sim.sensor.noise import digitise
 from sim.sensor.radiometry import photons_per_radiance
 from sim.sensor.webcam import Webcam
 

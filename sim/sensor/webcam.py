@@ -6,6 +6,7 @@ The lens acts on layers as fine as they are; what follows acts on whole pixels.
 from __future__ import annotations
 
 from copy import copy
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING
 
@@ -15,18 +16,104 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.records import Bytes
 from sim.render.fineness import binned, fineness_of, finer_lens
-from sim.scene import Lens, Scene
+from sim.scene import Lens, Scene, Sensor
 from sim.scene.instrument import Response
-from sim.sensor.blur import point_spread
-from sim.sensor.coding import digitise, electrons_of, through_jpeg
-from sim.sensor.colour import ColourFilter, Picture
-from sim.sensor.noise import Electrons, fixed_pattern, gathered, read_out
-from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, vignetting
-from sim.sensor.speckle import speckle_contrast, speckled
-from sim.sensor.still import StillView
+from sim.sensor.noise import (
+    ColourFilter,
+    Electrons,
+    FixedPattern,
+    Picture,
+    digitise,
+    electrons_of,
+    fixed_pattern,
+    gathered,
+    read_out,
+    through_jpeg,
+)
+from sim.sensor.radiometry import (
+    AMBIENT_NM,
+    photons_per_radiance,
+    speckle_contrast,
+    speckle_pattern,
+    speckled,
+    vignetting,
+)
 
 if TYPE_CHECKING:
     from sim.render.layers import Layers
+
+
+# Picture after picture of a place where nothing moves: only what differs is computed anew.
+
+
+@dataclass(frozen=True)
+class StillView:
+    """Electrons that the sensor expects of one place, apart from noise.
+
+    Attributes
+    ----------
+    sensor : Sensor, of the camera
+    pattern : FixedPattern, fixed pattern of the pixels
+    filter : ColourFilter or None, colour filter, None where every pixel sees all colours
+    steady : (H, W, 3) array, or (H, W) behind a colour filter, electrons of all light without
+        speckle
+    direct : array, electrons of the light with speckle, only the rows that have any
+    first_row : int, row of the picture at which ``direct`` begins
+    contrast : float, of the speckle
+    """
+
+    sensor: Sensor
+    pattern: FixedPattern
+    filter: ColourFilter | None
+    steady: Electrons
+    direct: Electrons
+    first_row: int
+    contrast: float
+
+    def picture(self, generator: np.random.Generator) -> Bytes:
+        """The next picture, (H, W, 3) uint8, RGB.
+
+        Parameters
+        ----------
+        generator : Generator, speckle and noise come from it
+        """
+        expected = self.steady
+        if self.direct.size:
+            expected = expected.copy()
+            height, width = self.direct.shape[:2]
+            speckle = speckle_pattern((height, width), self.contrast, generator)
+            if self.direct.ndim == 3:
+                speckle = speckle[..., np.newaxis]
+            expected[self.first_row : self.first_row + height] += self.direct * speckle
+        read = read_out(expected, self.sensor, self.pattern, generator)
+        return digitise(read, self.sensor, self.filter)
+
+
+# The lens's point spread: a core, and the glare around it.
+
+
+def point_spread(picture: Picture, lens: Lens) -> Picture:
+    """The picture, (H, W) of any unit, as the lens spreads it; no light is lost.
+
+    (1 - glare) of the light stays in a Gaussian core of ``blur_px``, the rest goes into a
+    Gaussian of ``glare_px``.  The picture is mirrored at its borders: what leaves it there
+    stands for what would come in.  Defocus and motion are rendered, not added here.
+    """
+    core = _gaussian(picture, lens.blur_px)
+    if lens.glare == 0:
+        return core
+    wide = _gaussian(picture, lens.glare_px)
+    return np.float32(1 - lens.glare) * core + np.float32(lens.glare) * wide
+
+
+def _gaussian(picture: Picture, sigma_px: float) -> Picture:
+    if sigma_px == 0:
+        return picture
+    blurred = cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, dtype=np.float32)
+
+
+# The webcam: lens, sensor and coding, one after the other.
 
 
 class Webcam:

@@ -13,7 +13,7 @@ from lscan.errors import InputError
 from sim.scene import SECTIONS, camera_pose, scene_of
 from sim.scene.file import TankSections
 from sim.scene.instrument import FULL_SCALE_DN, PlanePort, Response
-from sim.sensor.speckle import speckle_contrast
+from sim.sensor.radiometry import speckle_contrast
 from sim.studies.catalogue import (
     CameraPart,
     LaserPart,

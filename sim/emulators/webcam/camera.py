@@ -13,7 +13,7 @@ from lscan.records import Bytes
 from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
 from sim.helper import HelperEnded, HelperProcess
-from sim.sensor.coding import jpeg_bytes
+from sim.sensor.noise import jpeg_bytes
 
 CameraFault = Literal["hang", "drop", "black", "wrong-size", "frozen"]
 """hang: connected, and sends no more pictures.  drop: breaks the connection and refuses new ones.

@@ -17,8 +17,7 @@ from lscan.records import Floats, Status
 from sim.scene import PlanePort, Scene
 from sim.scene.instrument import FULL_SCALE_DN, Response
 from sim.scene.matter import AmbientLight, Penumbra
-from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
-from sim.sensor.speckle import speckle_contrast
+from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, speckle_contrast
 from sim.truth.camera.flat import flat_normal
 from sim.truth.camera.projection import TrueCamera, camera_of, project, rays_to
 from sim.truth.light.radiance import line_in_space, line_radiance, port_weight

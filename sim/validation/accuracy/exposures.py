@@ -19,7 +19,7 @@ from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.sensor import Webcam
-from sim.sensor.speckle import speckle_contrast
+from sim.sensor.radiometry import speckle_contrast
 
 STREAM = 4  # of the generators: streams 0 to 3 are the sensor's own
 

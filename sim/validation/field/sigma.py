@@ -18,8 +18,7 @@ from lscan.stripe import extract_stripe
 from lscan.stripe.fit import lines, parameters_of
 from lscan.stripe.peaks import neighbours, pieces
 from sim.scene.instrument import Sensor
-from sim.sensor.coding import digitise, through_jpeg
-from sim.sensor.colour import ColourFilter
+from sim.sensor.noise import ColourFilter, digitise, through_jpeg
 from sim.validation.field.effort import FieldEffort
 from sim.validation.rows import Row, row
 

@@ -15,7 +15,7 @@ from lscan.stripe import find_extractor
 from sim.render.judge.judged import Judged, JudgeEffort, judge
 from sim.render.tank import Tank
 from sim.sensor import Webcam
-from sim.sensor.coding import electrons_of
+from sim.sensor.noise import electrons_of
 from sim.validation.physics.lightcases import TARGETS, LightCase, light_case
 from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, Topic, measured, row

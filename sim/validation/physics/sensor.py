@@ -11,7 +11,7 @@ from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import PlanePort, Scene
 from sim.sensor import Webcam
-from sim.sensor.speckle import speckle_contrast
+from sim.sensor.radiometry import speckle_contrast
 from sim.validation.physics.rigs import scene_with
 from sim.validation.physics.topics import reference, topic
 from sim.validation.rows import Row, Topic, row

@@ -23,7 +23,7 @@ from lscan.surface import Alignment, resample
 from lscan.surface.surface import to_profile
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.scene import scene_of
-from sim.sensor.coding import from_jpeg, jpeg_bytes
+from sim.sensor.noise import from_jpeg, jpeg_bytes
 from sim.validation.robustness.effort import HardwareEffort
 from sim.validation.rows import Row, row
 

@@ -32,7 +32,7 @@ from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.emulators.webcam.camera import Shot
 from sim.scene import Scene
-from sim.sensor.coding import from_jpeg, jpeg_bytes
+from sim.sensor.noise import from_jpeg, jpeg_bytes
 
 pytestmark = pytest.mark.xdist_group("serve")  # one worker: they share a fixture
 

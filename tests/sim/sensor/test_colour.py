@@ -6,8 +6,7 @@ from hypothesis import given, settings, strategies as st
 from sensor_scenes import EXPOSURE_MS, layers_of, line, sensor_scene
 
 from sim.sensor import Webcam
-from sim.sensor.coding import through_jpeg
-from sim.sensor.colour import ColourFilter
+from sim.sensor.noise import ColourFilter, through_jpeg
 
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 

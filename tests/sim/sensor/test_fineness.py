@@ -30,8 +30,8 @@ from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.sensor import Webcam
-from sim.sensor.blur import point_spread
 from sim.sensor.radiometry import photons_per_radiance, vignetting
+from sim.sensor.webcam import point_spread
 from sim.truth import project, stripe_truth
 
 CAMERA = {"width_px": 64, "height_px": 48}

@@ -8,7 +8,7 @@ from sensor_scenes import EXPOSURE_MS, centroids, layers_of, line, sensor_scene
 from lscan.records import Floats
 from sim.scene import Scene
 from sim.sensor import Webcam
-from sim.sensor.speckle import speckle_contrast, speckle_pattern
+from sim.sensor.radiometry import speckle_contrast, speckle_pattern
 
 
 @pytest.mark.parametrize(

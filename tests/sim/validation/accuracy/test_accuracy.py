@@ -13,7 +13,7 @@ from lscan.config.rig import NoiseSection
 from lscan.errors import InputError
 from sim.render.tank import Tank
 from sim.scene import head_pose, load_scene, target_pose
-from sim.sensor.speckle import speckle_contrast
+from sim.sensor.radiometry import speckle_contrast
 from sim.validation.accuracy import run as accuracy
 from sim.validation.accuracy.effort import FULL, QUICK
 from sim.validation.accuracy.exposures import pictures, with_contrast
