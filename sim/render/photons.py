@@ -17,9 +17,9 @@ from lscan.records import Floats, Progress
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.opaque import opaque
 from sim.render.plugins.phase import PhaseTable
-from sim.water import planes, rings
+from sim.water import planes, spread as rings
 from sim.water.planes import PlaneCounts
-from sim.water.rings import Crossings
+from sim.water.spread import Crossings
 
 BATCH = 2**20  # photons of one launch: their state is about 50 MB
 # A photon that travels along a sphere as it crosses it adds 1 / 0.01 to the tangential sum at

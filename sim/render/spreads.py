@@ -10,9 +10,7 @@ from lscan.files.disk import long_work
 from lscan.records import Floats, Progress
 from sim.render.photons import batches, first_crossings, plane_crossings
 from sim.water import Optics
-from sim.water.axes import ANGLE_AXIS
-from sim.water.single import OnceScattered
-from sim.water.spread import Spread, tabulate
+from sim.water.spread import ANGLE_AXIS, OnceScattered, Spread, tabulate
 from sim.water.tablecache import kept_arrays
 
 FORMAT = 3  # of the kept files: raised where other numbers would be written

@@ -10,11 +10,8 @@ of more by photons counted in ``rings``.  ``tablecache`` keeps them.
 """
 
 from lscan.water.index import refractive_index
-from sim.water.fournier import FournierForand
-from sim.water.glass import glass_index
-from sim.water.optics import Optics, water_index, water_optics
-from sim.water.petzold import PetzoldTable
-from sim.water.phase import HenyeyGreensteinMixture
+from sim.water.optics import Optics, glass_index, water_index, water_optics
+from sim.water.phase import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 
 __all__ = [
     "FournierForand",

@@ -1,14 +1,205 @@
 """All that the tank asks of its water at one wavelength, in one record."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import sqrt
 
+import numpy as np
+
+from lscan.errors import InputError
+from lscan.files.disk import packaged_table
 from lscan.records import Floats
-from lscan.water.index import refractive_index, require
+from lscan.water.index import SALINITY_PSU, TEMPERATURE_C, Limits, refractive_index, require
 from sim.scene.matter import Water
-from sim.water.fournier import FournierForand
-from sim.water.inherent import WATER_NM, coefficients
-from sim.water.petzold import PetzoldTable
-from sim.water.phase import HenyeyGreensteinMixture, PhaseFunction, molecular_phase
+from sim.water.phase import (
+    FournierForand,
+    HenyeyGreensteinMixture,
+    PetzoldTable,
+    PhaseFunction,
+    molecular_phase,
+)
+
+# Absorption and scattering: of pure water, of waters with a name, and of a scene's water.
+
+
+TABLES = packaged_table("sim.water", "tables.toml")
+ABSORPTION_NM, ABSORPTION_PER_M = np.array(TABLES["pure_absorption"]).T
+WATER_NM = (450.0, 700.0)
+ABSORPTION_AT_C = 22.0
+# Its change with temperature and salinity, known here at 650 nm; used within SLOPES_WITHIN_NM.
+SLOPES_AT_NM, SLOPES_WITHIN_NM = 650.0, 5.0
+ABSORPTION_PER_M_C = -3.62e-4
+ABSORPTION_PER_M_PSU = 2.15e-5
+
+# Scattering of pure water and of sea water at 35 psu, 1/m, 20 C: Zhang, Hu & He 2009.
+MOLECULAR_NM = np.array([532.0, 650.0, 660.0])
+MOLECULAR_FRESH_PER_M = np.array([1.511e-3, 6.582e-4, 6.180e-4])
+MOLECULAR_SEA_PER_M = np.array([1.963e-3, 8.506e-4, 7.984e-4])
+SEA_PSU = 35.0
+
+
+@dataclass(frozen=True)
+class Coefficients:
+    """Of a water at one wavelength, 1/m: absorption, scattering and the molecules' part of it."""
+
+    absorption_per_m: float
+    scattering_per_m: float
+    molecular_per_m: float
+
+
+@dataclass(frozen=True)
+class SeaWater:
+    """Absorption and scattering of a natural sea water in all, where they were printed.
+
+    Attributes
+    ----------
+    wavelength_nm : float, nm
+    absorption_per_m, scattering_per_m : float, 1/m
+    missing_per_m : float, 1/m, by how much the printed absorption is too low
+    """
+
+    wavelength_nm: float
+    absorption_per_m: float
+    scattering_per_m: float
+    missing_per_m: float = 0.0
+
+
+SEA_WATERS = {name: SeaWater(**printed) for name, printed in TABLES["sea"].items()}
+# Turbid waters, roughly: what an NTU is depends on the instrument.  Only scattering is added;
+# how much the particles of a tank absorb is not to be had from a turbidity.
+SCATTERING_PER_M_NTU = 1.0
+
+
+def coefficients(water: Water, wavelength_nm: float) -> Coefficients:
+    """The absorption and scattering of a scene's water.
+
+    Where a and b are given in all, the molecules have the part of b that they have in pure
+    water, all of it where b is less.  Else pure water's and the particles' add up.  Air has
+    neither.
+
+    Parameters
+    ----------
+    water : Water, the scene's
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        The wavelength lies outside the range.
+    """
+    if water.kind == "air":
+        require("wavelength_nm", wavelength_nm, WATER_NM)
+        return Coefficients(0.0, 0.0, 0.0)
+    molecular = molecular_scattering_per_m(water.salinity_psu, wavelength_nm)
+    if water.absorption_per_m is not None and water.scattering_per_m is not None:
+        total = water.scattering_per_m
+        return Coefficients(water.absorption_per_m, total, min(molecular, total))
+    added_absorption, added_scattering = _particles(water)
+    pure = absorption_per_m(water.temperature_c, water.salinity_psu, wavelength_nm)
+    return Coefficients(pure + added_absorption, molecular + added_scattering, molecular)
+
+
+def _particles(water: Water) -> tuple[float, float]:
+    """Absorption and scattering, 1/m, that the water's particles add to pure water's."""
+    if water.kind in SEA_WATERS:
+        return particles_of(SEA_WATERS[water.kind])
+    if water.turbidity_ntu is not None:
+        return 0.0, SCATTERING_PER_M_NTU * water.turbidity_ntu
+    return water.particle_absorption_per_m or 0.0, water.particle_scattering_per_m or 0.0
+
+
+def particles_of(sea: SeaWater) -> tuple[float, float]:
+    """Absorption and scattering, 1/m, of what a sea water holds besides water and salt.
+
+    What pure sea water (22 C, 35 psu) has of the printed values is taken off where they were
+    printed, down to nothing.  The rest is used at every wavelength: particles as large as the
+    sea's scatter nearly alike at all, and of how they absorb elsewhere nothing was printed.
+
+    Parameters
+    ----------
+    sea : SeaWater, the water as printed
+
+    Returns
+    -------
+    Absorption, scattering, 1/m; neither negative.
+
+    References
+    ----------
+    docs/explanation/physics.md, section 2.
+    """
+    pure = absorption_per_m(ABSORPTION_AT_C, 0.0, sea.wavelength_nm)
+    molecular = molecular_scattering_per_m(SEA_PSU, sea.wavelength_nm)
+    absorption = sea.absorption_per_m + sea.missing_per_m
+    return max(absorption - pure, 0.0), max(sea.scattering_per_m - molecular, 0.0)
+
+
+def absorption_per_m(temperature_c: float, salinity_psu: float, wavelength_nm: float) -> float:
+    """Absorption of pure (sea) water, 1/m; linear between the table's wavelengths.
+
+    Temperature and salinity count only within 5 nm of 650 nm, where their slopes are known;
+    elsewhere the value is that of pure water at 22 C.
+
+    Parameters
+    ----------
+    temperature_c : float, C, 0 to 30
+    salinity_psu : float, psu, 0 to 35
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    Pope & Fry 1997; docs/explanation/physics.md, section 2.
+
+    Examples
+    --------
+    >>> round(absorption_per_m(22.0, 0.0, 650.0), 3)
+    0.34
+    """
+    require("temperature_c", temperature_c, TEMPERATURE_C)
+    require("salinity_psu", salinity_psu, SALINITY_PSU)
+    require("wavelength_nm", wavelength_nm, WATER_NM)
+    pure = float(np.interp(wavelength_nm, ABSORPTION_NM, ABSORPTION_PER_M))
+    if abs(wavelength_nm - SLOPES_AT_NM) > SLOPES_WITHIN_NM:
+        return pure
+    warming = ABSORPTION_PER_M_C * (temperature_c - ABSORPTION_AT_C)
+    return pure + warming + ABSORPTION_PER_M_PSU * salinity_psu
+
+
+def molecular_scattering_per_m(salinity_psu: float, wavelength_nm: float) -> float:
+    """Scattering of pure (sea) water at 20 C, 1/m.
+
+    It is a power law of the wavelength and linear in salinity, fitted at 532 to 660 nm; carried on
+    to 450 and 700 nm, where Morel's exponent (-4.32 against the fit's -4.15) would differ by 3 %.
+
+    Parameters
+    ----------
+    salinity_psu : float, psu, 0 to 35
+    wavelength_nm : float, nm, 450 to 700
+
+    Raises
+    ------
+    InputError
+        A value lies outside its range.
+
+    References
+    ----------
+    Zhang, Hu & He 2009.
+    """
+    require("salinity_psu", salinity_psu, SALINITY_PSU)
+    require("wavelength_nm", wavelength_nm, WATER_NM)
+    fresh, sea = (
+        np.exp(np.polyval(np.polyfit(np.log(MOLECULAR_NM), np.log(b), 1), np.log(wavelength_nm)))
+        for b in (MOLECULAR_FRESH_PER_M, MOLECULAR_SEA_PER_M)
+    )
+    return float(fresh + (sea - fresh) * salinity_psu / SEA_PSU)
+
+
+# All that the tank asks of its water at one wavelength, in one record.
+
 
 MM_PER_M = 1000.0
 
@@ -108,3 +299,61 @@ def particle_phase(water: Water) -> PhaseFunction:
             return FournierForand(water.particle_index, water.junge_slope)
         case "henyey-greenstein":
             return HenyeyGreensteinMixture((1.0,), (water.asymmetry,))
+
+
+# The refractive index of the materials ports are made of, relative to air.
+
+
+INDEX = (1.0, 2.5)  # what a scene file may name as a number
+
+
+@dataclass(frozen=True)
+class Sellmeier:
+    """n2 = 1 + sum of strength w2 / (w2 - pole), w the wavelength in um, pole in um2; at 20 C.
+
+    terms: strength and pole of each.
+    """
+
+    terms: Sequence[tuple[float, float]]
+    range_nm: Limits
+
+
+_TABLE = packaged_table("sim.water", "tables.toml")["glass"]
+GLASSES = {name: Sellmeier(**formula) for name, formula in _TABLE.items()}
+
+
+def glass_index(glass: float | str, wavelength_nm: float) -> float:
+    """Index, relative to air, of a port's material.
+
+    Parameters
+    ----------
+    glass : float or str, name of a material in GLASSES, or an index from 1 to 2.5, which passes
+        through
+    wavelength_nm : float, nm
+
+    Raises
+    ------
+    InputError
+        The name is unknown, the number is not an index, or the wavelength lies outside the range of
+        the material's formula.
+
+    References
+    ----------
+    Schott, data sheet N-BK7 517642.251; Malitson 1965 (fused silica); Sultanova, Kasarova & Nikolov
+    2009 (PMMA).
+
+    Examples
+    --------
+    >>> round(glass_index("PMMA", 650.0), 4)
+    1.4881
+    """
+    if not isinstance(glass, str):
+        require("glass_index", glass, INDEX, where="port")
+        return float(glass)
+    if glass not in GLASSES:
+        allowed = f"a number or one of {', '.join(GLASSES)}"
+        raise InputError("glass_index", where="port", value=glass, allowed=allowed)
+    formula = GLASSES[glass]
+    require("wavelength_nm", wavelength_nm, formula.range_nm, where=glass)
+    w2 = (wavelength_nm / 1000) ** 2
+    return sqrt(1 + sum(strength * w2 / (w2 - pole) for strength, pole in formula.terms))

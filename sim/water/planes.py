@@ -20,7 +20,7 @@ from scipy.sparse import coo_array, csc_array, eye_array, kron
 from scipy.sparse.linalg import spsolve
 
 from lscan.records import Floats, Mask
-from sim.water.axes import Complex, LogAxis
+from sim.water.spread import Complex, LogAxis
 
 # Cells of a plane: angle off the beam by azimuth about it, 0 where the plane is farther away.
 RINGS_FROM, RINGS_TO, RINGS, SECTORS = 0.01, 1.4, 24, 8

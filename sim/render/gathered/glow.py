@@ -24,8 +24,7 @@ from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.spread import SpreadLookup
 from sim.render.sparse.rays import HEAD
 from sim.scene import Laser, LaserLine
-from sim.water.axes import LogAxis
-from sim.water.spread import Spread
+from sim.water.spread import LogAxis, Spread
 
 # Angles: so many steps to either edge of the fan, where a node lies, and as many beyond.
 STEPS = 5

@@ -15,8 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from lscan.records import Floats
-from sim.water.axes import LogAxis
-from sim.water.spread import Spread
+from sim.water.spread import LogAxis, Spread
 
 RANGE_AXIS = LogAxis(100.0, 3000.0, 14)
 COSINE_AXIS = LogAxis(0.1, 1.0, 8)  # of incidence; flatter surfaces count as the last

@@ -1,7 +1,7 @@
 """Smooth positive fields from counts in cells.
 
 The counts are quasi-Poisson, and second differences of the field's logarithm have a Gaussian
-prior (Whittaker 1923), as in ``sim.water.rings``.
+prior (Whittaker 1923), as in ``sim.water.spread``.
 """
 
 from functools import lru_cache

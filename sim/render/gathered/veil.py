@@ -37,7 +37,7 @@ from sim.render.sparse.rays import HEAD, HeadRays
 from sim.render.spreads import PHOTONS
 from sim.scene import Pose
 from sim.water import Optics
-from sim.water.axes import ANGLE_AXIS, between_nodes
+from sim.water.spread import ANGLE_AXIS, between_nodes
 from sim.water.tablecache import kept_arrays
 
 Picture = NDArray[np.float32]

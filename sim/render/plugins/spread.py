@@ -7,10 +7,8 @@ import numpy as np
 from lscan.records import Floats
 from sim.render.plugins.opaque import opaque
 from sim.render.plugins.phase import angle_between
-from sim.water.axes import ANGLE_AXIS, NEAREST_RAD, LogAxis
 from sim.water.planes import COSINE_AXIS, HORIZON_ANGLES, horizon_depths
-from sim.water.single import FARTHEST_RAD
-from sim.water.spread import Spread
+from sim.water.spread import ANGLE_AXIS, FARTHEST_RAD, NEAREST_RAD, LogAxis, Spread
 
 TINY = 1e-9  # smaller than the first node of every axis
 
@@ -97,7 +95,7 @@ class SpreadLookup:
         return dr.maximum(plain + more * missed, 0)
 
     def _once(self, theta: mi.Float, distance: mi.Float, end: mi.Float) -> Pair:
-        """What was scattered once, before ``end`` (sim.water.single)."""
+        """What was scattered once, before ``end`` (sim.water.spread)."""
         theta = dr.clip(theta, NEAREST_RAD, FARTHEST_RAD)
         depth, end = self.extinction * distance, self.extinction * end
         sine, cosine = dr.sincos(theta)

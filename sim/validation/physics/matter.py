@@ -14,7 +14,7 @@ from lscan.water.index import absolute_index, air_index, iapws_index
 from sim.validation.physics.topics import reference, topic
 from sim.validation.rows import Row, Topic, row
 from sim.water import glass_index, refractive_index
-from sim.water.inherent import absorption_per_m, molecular_scattering_per_m
+from sim.water.optics import absorption_per_m, molecular_scattering_per_m
 
 NM = 650.0
 GLASS_NM = (640.0, 650.0, 660.0)

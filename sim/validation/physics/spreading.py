@@ -11,8 +11,7 @@ from sim.scene.matter import Water
 from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, Topic, row
 from sim.water import Optics, planes, water_optics
-from sim.water.rings import ring_edges, solid_angles
-from sim.water.spread import Spread
+from sim.water.spread import Spread, ring_edges, solid_angles
 
 SEED, OTHER_SEED = 81, 82
 TURBIDITIES_NTU = (1.0, 5.0)

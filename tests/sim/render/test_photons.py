@@ -13,9 +13,15 @@ from sim.render.spreads import TILTS
 from sim.scene.matter import Water
 from sim.validation.physics.spreading import on_planes
 from sim.water import water_optics
-from sim.water.rings import RINGS, Crossings, ring_edges, solid_angles
-from sim.water.single import once_scattered
-from sim.water.spread import Spread, tabulate
+from sim.water.spread import (
+    RINGS,
+    Crossings,
+    Spread,
+    once_scattered,
+    ring_edges,
+    solid_angles,
+    tabulate,
+)
 
 DEPTHS = np.geomspace(0.1, 3.0, 10)
 PHOTONS = 2**18

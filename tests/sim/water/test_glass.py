@@ -4,7 +4,7 @@ import pytest
 
 from lscan.errors import InputError
 from sim.water import glass_index
-from sim.water.inherent import absorption_per_m
+from sim.water.optics import absorption_per_m
 
 LAST_DIGIT = 0.51e-6  # the values have six decimals
 

@@ -9,8 +9,14 @@ from water_sphere import integral
 
 from lscan.errors import InputError
 from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
-from sim.water.petzold import TABLE_PER_SR, TABLE_RAD, table_density, table_integral
-from sim.water.phase import henyey_greenstein, molecular_phase
+from sim.water.phase import (
+    TABLE_PER_SR,
+    TABLE_RAD,
+    henyey_greenstein,
+    molecular_phase,
+    table_density,
+    table_integral,
+)
 
 ANGLES = np.concatenate([[0.0], np.geomspace(1e-5, np.pi, 2000)])
 QUADRATURE = 1e-6  # of the panels, where a function has corners

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lscan.records import Floats
-from sim.water.rings import RINGS, Crossings, fit_rings, ring_edges, solid_angles
+from sim.water.spread import RINGS, Crossings, fit_rings, ring_edges, solid_angles
 
 PHOTONS = 4_000_000
 ANGLES = np.geomspace(1e-4, 2.5, 60)

@@ -14,7 +14,7 @@ from sim.water import (
     refractive_index,
     water_optics,
 )
-from sim.water.inherent import absorption_per_m, molecular_scattering_per_m
+from sim.water.optics import absorption_per_m, molecular_scattering_per_m
 from sim.water.phase import molecular_phase
 
 # docs/explanation/physics.md, section 2: printed absorption and scattering, 1/m.
