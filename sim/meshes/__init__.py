@@ -3,8 +3,7 @@
 Each shape is a few parts (sim.meshes.parts); a part is a triangle mesh of one surface.
 """
 
-from sim.meshes.paint import reflectance_at
-from sim.meshes.parts import Finish, MeshPart, Paint
+from sim.meshes.parts import Finish, MeshPart, Paint, reflectance_at
 from sim.meshes.target import scene_parts, target_mesh, target_parts
 
 __all__ = [

@@ -12,11 +12,21 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.files.meshes import MM_PER_UNIT, UNREAD, load_mesh
 from sim.meshes.board import board_parts
-from sim.meshes.paint import picture_paint, reflectance_at, vertex_paint
-from sim.meshes.parts import Finish, MeshPart, moved, plain_mesh
-from sim.meshes.rough import rough_block_mesh
-from sim.meshes.sand import sanded_sandwave_mesh
-from sim.meshes.workpieces import grooved_block_mesh, sandwave_parts
+from sim.meshes.parts import (
+    Finish,
+    MeshPart,
+    moved,
+    picture_paint,
+    plain_mesh,
+    reflectance_at,
+    vertex_paint,
+)
+from sim.meshes.workpieces import (
+    grooved_block_mesh,
+    rough_block_mesh,
+    sanded_sandwave_mesh,
+    sandwave_parts,
+)
 from sim.scene import Scene, floor_corners_mm, target_pose
 from sim.scene.matter import Texture
 

@@ -18,7 +18,7 @@ from lscan.config.documents import Document, merge
 from lscan.config.rig import parse_rig
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Marks, has_value, select
-from sim.meshes.paint import reflectance_at
+from sim.meshes.parts import reflectance_at
 from sim.scene import Scene, scene_of
 from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance

@@ -24,7 +24,7 @@ from lscan.roughness import (
     roughness_of,
     sediment,
 )
-from sim.meshes.rough import rough_heights
+from sim.meshes.workpieces import rough_heights
 from sim.scene import Scene, into_world, load_scene, target_pose
 from sim.scene.matter import RoughBlock
 from sim.validation.accuracy.board import calibrations

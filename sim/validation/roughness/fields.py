@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 from lscan.records import Floats, Mask
 from lscan.roughness import Patch, PowerLaw, PowerLawFit, find_ripples, fit_power_law
-from sim.meshes.rough import random_fields, ripple_heights
+from sim.meshes.workpieces import random_fields, ripple_heights
 from sim.scene.matter import Ripples
 from sim.validation.roughness.effort import RoughnessEffort
 from sim.validation.rows import Row, row

@@ -6,7 +6,7 @@ from hypothesis import example, given, settings, strategies as st
 from rough_patches import holes, patch, wave
 
 from lscan.roughness import fit_waves, ripple_spread
-from sim.meshes.rough import random_fields
+from sim.meshes.workpieces import random_fields
 
 SHAPE, CELL_CM, WAVES = (64, 64), 0.5, 12  # 5 cells a wave
 SIZE = 2 * np.pi * WAVES / (SHAPE[0] * CELL_CM)

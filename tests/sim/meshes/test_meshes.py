@@ -15,9 +15,13 @@ from lscan.errors import InputError
 from lscan.files.meshes import load_mesh
 from sim.meshes import Finish, reflectance_at, scene_parts, target_mesh, target_parts
 from sim.meshes.board import CIRCLE_CORNERS, board_parts
-from sim.meshes.paint import luminance
-from sim.meshes.sand import sanded_sandwave_mesh
-from sim.meshes.workpieces import WAVE_STEP_MM, grooved_block_mesh, sandwave_parts
+from sim.meshes.parts import luminance
+from sim.meshes.workpieces import (
+    WAVE_STEP_MM,
+    grooved_block_mesh,
+    sanded_sandwave_mesh,
+    sandwave_parts,
+)
 from sim.scene import Scene, load_scene
 from sim.scene.matter import Sand, Texture
 from sim.validation.physics.gallery import scene_files

@@ -13,7 +13,7 @@ from lscan.errors import InputError
 from lscan.files.meshes import load_mesh
 from lscan.records import Floats
 from sim.meshes import Finish, MeshPart, Paint
-from sim.meshes.paint import vertex_paint
+from sim.meshes.parts import vertex_paint
 from sim.render.materials import mi, mitsuba_shape, surface
 from sim.render.plugins.arrays import vectors
 
