@@ -28,7 +28,7 @@ from sim.studies.scatter import depends_on_light, line_bounds_px, lines_at
 from sim.studies.states import RigStates, states_of
 from sim.studies.studyfile import Study
 from sim.truth import StripeTruth, board_truth
-from sim.truth.camera.projection import TrueCamera, camera_of, image, rays_to
+from sim.truth.camera import TrueCamera, camera_of, image, rays_to
 
 STILL = Pose(np.eye(3), np.zeros(3))
 BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig, beside prepared.LINE

@@ -11,9 +11,9 @@ from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, select
 from sim.scene import Scene, head_pose, into_world, target_pose
 from sim.truth import StripeTruth, stripe_truths
+from sim.truth.section import surfaces_of, target_surfaces
 from sim.truth.sheet import TrueSheet, sheet_of
-from sim.truth.target.section import surfaces_of, target_surfaces
-from sim.truth.target.wave import Wave
+from sim.truth.surfaces import Wave
 from sim.truth.visibility import apex_xz, fan_angle
 
 EDGE_PX = 12.0  # from the ends of the line: a rig that is somewhat off does not lose the place

@@ -15,17 +15,16 @@ analytic geometry.  What it shares with them is what defines the tank and cannot
   against published values;
 - the thickness of a Gaussian sheet (sim.scene.Laser), which the renderer computes for itself;
 - the Brown-Conrady polynomials that the lens is specified by, written twice and held to OpenCV's;
-- in sim.truth.light.brightness alone, photons per radiance and contrast of speckle
+- in sim.truth.light alone, photons per radiance and contrast of speckle
   (sim.sensor.radiometry, speckle): that module judges how the instrument reads a line of a given
   brightness, not the sensor, which closed forms and published values judge.
 """
 
 from sim.truth.board import BoardTruth, board_truth
-from sim.truth.camera.projection import project
-from sim.truth.light.brightness import LineBrightness, line_brightness
+from sim.truth.camera import project
+from sim.truth.light import LineBrightness, line_brightness
 from sim.truth.sheet import sheet_of
-from sim.truth.shutter import stripe_truth, stripe_truths
-from sim.truth.stripe import StripeTruth
+from sim.truth.stripe import StripeTruth, stripe_truth, stripe_truths
 from sim.truth.visibility import slice_visibility
 
 __all__ = [

@@ -19,9 +19,9 @@ from lscan.records import (
     Status,
 )
 from sim.scene import Scene, into_head, target_pose
-from sim.truth.camera.projection import project
-from sim.truth.shutter import row_positions_mm, travel_mm
-from sim.truth.target.section import surfaces_of
+from sim.truth.camera import project
+from sim.truth.section import surfaces_of
+from sim.truth.stripe import row_positions_mm, travel_mm
 from sim.truth.visibility import in_picture, seen
 
 RIM_POINTS = 128  # of a dot's outline, for its area's centroid

@@ -22,10 +22,10 @@ from sim.scene import (
     target_pose,
     track_pose,
 )
-from sim.truth.camera.projection import entry_points, project
+from sim.truth.camera import entry_points, project
+from sim.truth.section import TargetSection, surfaces_of
 from sim.truth.sheet import TrueSheet, sheet_of
-from sim.truth.target.section import TargetSection, surfaces_of
-from sim.truth.target.surfaces import SELF_MM, TankSurface, cross, spread
+from sim.truth.surfaces import SELF_MM, TankSurface, cross, spread
 
 ALIGNED = TrueSheet(Pose(np.eye(3), np.zeros(3)), bow=None)
 

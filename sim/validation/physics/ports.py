@@ -12,7 +12,7 @@ from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.traced import TracedCamera
 from sim.scene import Scene, camera_pose
-from sim.truth.camera.projection import camera_of
+from sim.truth.camera import camera_of
 from sim.validation.physics.rigs import (
     camera_rays,
     make_camera,

@@ -11,8 +11,7 @@ from lscan.records import Floats
 from sim.render.plugins.arrays import floats, vectors
 from sim.render.plugins.sheet import BOW_NODES, LaserSheet, bow
 from sim.scene import Head, Laser, Pose, head_pose, sheet_pose
-from sim.truth.bow import bow_of
-from sim.truth.sheet import TrueSheet, sheet_plane
+from sim.truth.sheet import TrueSheet, bow_of, sheet_plane
 
 INDEX, NM = (
     1.3313,

@@ -22,8 +22,8 @@ from sim.devices import SimTrack, TrackOptions, camera_driver, load_checked
 from sim.meshes import scene_parts, target_mesh
 from sim.scene import Pose, Scene
 from sim.truth.placement import check_placement, gaps_of, inside
-from sim.truth.target.section import surfaces_of
-from sim.truth.target.surfaces import Polygon
+from sim.truth.section import surfaces_of
+from sim.truth.surfaces import Polygon
 
 FLOOR_MM = -100.0
 

@@ -13,9 +13,8 @@ from lscan.errors import InputError
 from lscan.records import Status
 from sim.scene import Laser, Pose, Scene, head_pose, rotation, sheet_pose, target_pose
 from sim.truth import StripeTruth, project, sheet_of, slice_visibility, stripe_truth
-from sim.truth.bow import bow_of, quarter
-from sim.truth.sheet import sheet_plane
-from sim.truth.target.surfaces import clipped
+from sim.truth.sheet import bow_of, quarter, sheet_plane
+from sim.truth.surfaces import clipped
 from sim.truth.visibility import fan_angle, passing_mm
 from sim.water import refractive_index
 

@@ -10,9 +10,8 @@ from truth_scenes import tank
 from lscan.records import Status
 from sim.scene import Scene, head_pose, target_pose
 from sim.truth import StripeTruth, project, stripe_truth
-from sim.truth.shutter import _joined, row_positions_mm
-from sim.truth.stripe import standing_truth
-from sim.truth.target.section import surfaces_of
+from sim.truth.section import surfaces_of
+from sim.truth.stripe import _joined, row_positions_mm, standing_truth
 
 HEIGHT = 480
 

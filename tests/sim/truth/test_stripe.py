@@ -16,11 +16,10 @@ from lscan.errors import InputError
 from lscan.records import Status
 from sim.scene import Pose, Scene, head_pose, rotation, target_pose
 from sim.truth import StripeTruth, project, slice_visibility, stripe_truth, stripe_truths
-from sim.truth.camera.projection import entry_points
+from sim.truth.camera import entry_points
+from sim.truth.section import grooved_block_surfaces, surfaces_of, target_surfaces
 from sim.truth.stripe import ColumnCrossings, continued, edge_distance
-from sim.truth.target.mesh import Mesh
-from sim.truth.target.section import grooved_block_surfaces, surfaces_of, target_surfaces
-from sim.truth.target.surfaces import SELF_MM
+from sim.truth.surfaces import SELF_MM, Mesh
 from sim.truth.visibility import blocked, fan_angle, passing_mm
 
 FEW = settings(max_examples=10)

@@ -8,9 +8,7 @@ from truth_scenes import tank
 from sim.scene import PlanePort, camera_pose
 from sim.scene.instrument import DomePort
 from sim.truth import project
-from sim.truth.camera.dome import dome_rays, polar_angle
-from sim.truth.camera.flat import flat_rays
-from sim.truth.camera.projection import camera_of, entry_points
+from sim.truth.camera import camera_of, dome_rays, entry_points, flat_rays, polar_angle
 
 MANY = settings(max_examples=60)
 

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings, strategies as st
 from lscan import camera as instrument
 from lscan.camera.optics import fold_radius as instruments_fold
 from sim.scene import Lens, PlanePort, Pose
-from sim.truth.camera.projection import TrueCamera, fold_radius, image, rays_to
+from sim.truth.camera import TrueCamera, fold_radius, image, rays_to
 
 MANY = settings(max_examples=60)
 LENSES, PORTS = st.builds(Lens, **LENS), st.builds(PlanePort, **FLAT_PORT)

@@ -10,11 +10,12 @@ from truth_scenes import tank
 from lscan.errors import InputError
 from sim.scene import Lens, PlanePort, Pose, Scene, camera_pose, rotation
 from sim.truth import project
-from sim.truth.camera.flat import crossed_at, flat_normal
-from sim.truth.camera.projection import (
+from sim.truth.camera import (
     TrueCamera,
     camera_of,
+    crossed_at,
     entry_points,
+    flat_normal,
     fold_radius,
     image,
     rays_to,

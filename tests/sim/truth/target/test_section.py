@@ -11,16 +11,14 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from sim.meshes.parts import grid_faces, plain_mesh
 from sim.scene import Pose, head_pose, rotation
-from sim.truth.target.mesh import Mesh
-from sim.truth.target.section import (
+from sim.truth.section import (
     TargetSection,
     grooved_block_surfaces,
     section_at,
     split,
     surfaces_of,
 )
-from sim.truth.target.surfaces import Polygon, area, spread
-from sim.truth.target.wave import Wave, sandwave_surfaces
+from sim.truth.surfaces import Mesh, Polygon, Wave, area, sandwave_surfaces, spread
 
 MANY = settings(max_examples=30)
 TILT = st.floats(-8, 8)

@@ -4,6 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats, Ints, Mask
@@ -12,11 +15,58 @@ from sim.meshes.board import plate_mesh
 from sim.meshes.parts import plain_mesh
 from sim.scene import Pose, Scene, floor_corners_mm, target_pose
 from sim.scene.errors import TrueBoard
-from sim.truth.bow import Bow
-from sim.truth.target.chains import chains
-from sim.truth.target.mesh import Mesh
-from sim.truth.target.surfaces import Polygon, TankSurface, between, extrusion, spread
-from sim.truth.target.wave import sandwave_surfaces
+from sim.truth.sheet import Bow
+from sim.truth.surfaces import (
+    Mesh,
+    Polygon,
+    TankSurface,
+    between,
+    extrusion,
+    sandwave_surfaces,
+    spread,
+)
+
+# Which pieces of a section make up one smooth line, without gap or crease.
+
+
+JOINED_MM = 1e-6  # ends of two pieces as near as this are one: rounding is 1e-12 mm
+# A line that turns by more has an edge there, one that turns by less is a round surface in
+# facets: the feature angle that mesh tools take by default lies between 20 and 40 degrees.
+CREASE_DEG = 30.0
+
+
+def chains(ends_mm: Floats, face: Ints, creased: Mask) -> Ints:
+    """Which pieces of a section lie on one smooth line.
+
+    Parameters
+    ----------
+    ends_mm
+        (M, 2, 2) two ends of (x, z) of each straight piece, in the sheet's plane.
+    face
+        (M,) surface of each; a line does not go from one to another.
+    creased
+        (M,) whether an edge is seen where the piece meets the next at an angle.
+
+    Returns
+    -------
+    (M,) the number of the line that each piece is part of.
+    """
+    count = len(ends_mm)
+    if count == 0:
+        return np.empty(0, dtype=int)
+    pairs = cKDTree(ends_mm.reshape(-1, 2)).query_pairs(JOINED_MM, output_type="ndarray")
+    away = (ends_mm[:, ::-1] - ends_mm).reshape(-1, 2)  # from either end to the other
+    length = np.linalg.norm(away, axis=1)
+    first, second = pairs[np.all(length[pairs] > JOINED_MM, axis=1)].T
+    turn = np.einsum("ij,ij->i", away[first], away[second]) / (length[first] * length[second])
+    smooth = -turn >= np.cos(np.radians(CREASE_DEG))
+    a, b = first // 2, second // 2
+    kept = (face[a] == face[b]) & (smooth | ~creased[a])
+    links = coo_array((np.ones(kept.sum()), (a[kept], b[kept])), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1], dtype=int)
+
+
+# The section: everything in the tank, cut by the laser sheet.
 
 
 @dataclass(frozen=True)
@@ -106,7 +156,7 @@ def section_at(
     """The section of the surfaces by a sheet; sheet: frame of its plane to world frame.
 
     A flat sheet cuts polygons exactly, the sandwave within 1e-4 mm, meshes as their triangles
-    lie; a bowed one polygons and meshes within 1e-4 mm (sim.truth.bow.FACET_MM).
+    lie; a bowed one polygons and meshes within 1e-4 mm (sim.truth.sheet.FACET_MM).
     Faces that lie in a flat sheet have no section.
     """
     pieces = [surface.cut(sheet, bow) for surface in surfaces]

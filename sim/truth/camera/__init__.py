@@ -1,1 +1,0 @@
-"""Where a camera behind a flat port or a dome sees a point of the water."""

@@ -1,1 +1,0 @@
-"""How bright the true line is in its picture."""

@@ -1,1 +1,0 @@
-"""The target and all else that stands in the tank, cut by the laser's sheet."""
