@@ -226,7 +226,7 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
     drawn : mapping, its numbers; that of POSITION says where the head stands
     """
     from sim.devices import metered
-    from sim.render.surfaces import surfaces_seen
+    from sim.render.tank import surfaces_seen
     from sim.sensor import Webcam
 
     at = at_moment(scene, 0, drawn[POSITION])

@@ -10,16 +10,18 @@ package manager for one where none serves.
 """
 
 import argparse
+import ctypes
 import importlib
 import importlib.util
 import os
+import platform
 import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from ctypes.util import find_library
 from dataclasses import dataclass
@@ -27,13 +29,138 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from types import ModuleType
+from typing import TypeVar
 
 from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import MOST_TEXT_BYTES, cache_folder, read_cached, write_atomically
-from sim.debian import PackageError, found_or_installed, install_first
-from sim.render.flushing import CAN_FLUSH
+
+# Numbers below 1e-38 taken for 0, as Dr.Jit's own threads do, in the thread that calls too.
+#
+# The calling thread keeps them, and with one thread Dr.Jit has no others: light that is read as
+# the
+# ratio of two faint numbers would differ with the number of threads, by up to 0.3 %.
+
+
+CAN_FLUSH = sys.platform == "linux" and platform.machine() == "x86_64"
+# Where C's environment of floating point has the register MXCSR, and its bits that take numbers
+# below 1e-38 for 0 as results and as operands (System V ABI, AMD64).
+_WORDS, _MXCSR, _FLUSH = 8, 7, 0x8040
+
+
+@contextmanager
+def flushing(on: bool = True) -> Iterator[None]:
+    """Take numbers below 1e-38 for 0 in this thread, where ``CAN_FLUSH``, until the block ends.
+
+    Parameters
+    ----------
+    on : bool, False: do not, for code that counts on them
+    """
+    if not CAN_FLUSH:
+        yield
+        return
+    before = (ctypes.c_uint32 * _WORDS)()
+    library = ctypes.CDLL("libm.so.6")
+    library.fegetenv(before)
+    within = type(before).from_buffer_copy(before)
+    within[_MXCSR] = before[_MXCSR] | _FLUSH if on else before[_MXCSR] & ~_FLUSH
+    library.fesetenv(within)
+    try:
+        yield
+    finally:
+        library.fesetenv(before)
+
+
+# Packages of Debian and its kin, installed where this process has the right to.
+
+
+Found = TypeVar("Found")
+
+
+class PackageError(LscanError):
+    """A package could not be installed; the line says what stood in the way."""
+
+
+def install_first(packages: Sequence[str]) -> None:
+    """Install the first of ``packages`` that apt-get offers; its output goes to stderr.
+
+    Parameters
+    ----------
+    packages : sequence, names of packages, the preferred one first
+
+    Raises
+    ------
+    PackageError
+        apt-get, the right to use it, or such a package is missing.
+    """
+    admin = _as_root()
+    package = _offered(packages)
+    if package is None:
+        _apt_get(admin, "update")
+        package = _offered(packages)
+    if package is None:
+        raise PackageError(f"apt-get offers none of {', '.join(packages)}")
+    if not _apt_get(admin, "install", "-y", "--no-install-recommends", package):
+        _apt_get(admin, "update")  # the package list may be older than the archive
+        if not _apt_get(admin, "install", "-y", "--no-install-recommends", package):
+            raise PackageError(f"apt-get could not install {package}")
+
+
+def found_or_installed(find: Callable[[], Found], packages: Sequence[str], variable: str) -> Found:
+    """What ``find`` finds, the first package on offer installed where it finds nothing.
+
+    Parameters
+    ----------
+    find : function, raises an LscanError where there is nothing
+    packages : sequence, as of ``install_first``
+    variable : str, of the environment; where it names a file, nothing is installed
+
+    Raises
+    ------
+    LscanError
+        That of ``find``; where installing failed too, its line says both.
+    """
+    try:
+        return find()
+    except LscanError as missing:
+        if os.environ.get(variable):
+            raise
+        try:
+            install_first(packages)
+        except PackageError as refused:
+            raise type(missing)(f"{missing}; {refused}") from refused
+    return find()
+
+
+def _as_root() -> list[str]:
+    if not shutil.which("apt-get"):
+        raise PackageError("there is no apt-get here to install it with")
+    if os.geteuid() == 0:
+        return []
+    if shutil.which("sudo") and _succeeds("sudo", "-n", "true"):
+        return ["sudo", "-n"]
+    raise PackageError("installing it takes root or a sudo that asks for no password")
+
+
+def _offered(packages: Sequence[str]) -> str | None:
+    return next((name for name in packages if _succeeds("apt-cache", "show", name)), None)
+
+
+def _succeeds(*command: str) -> bool:
+    quiet = subprocess.DEVNULL
+    return subprocess.run(command, stdin=quiet, stdout=quiet, stderr=quiet).returncode == 0
+
+
+def _apt_get(admin: list[str], *arguments: str) -> bool:
+    quietly = ["env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq"]
+    patiently = ["-o", "DPkg::Lock::Timeout=120"]
+    command = [*admin, *quietly, *patiently, *arguments]
+    return subprocess.run(command, stdin=subprocess.DEVNULL, stdout=sys.stderr).returncode == 0
+
+
+# Mitsuba with an LLVM that can render: the one module through which ``sim`` reaches Mitsuba.
+
 
 LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers

@@ -2,16 +2,235 @@
 
 import hashlib
 import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import log
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from lscan.errors import InputError
 from lscan.files.disk import long_work
 from lscan.records import Floats, Progress
-from sim.render.photons import batches, first_crossings, plane_crossings
-from sim.water import Optics
-from sim.water.spread import ANGLE_AXIS, OnceScattered, Spread, tabulate
+from sim.render.plugins.arrays import floats, opaque
+from sim.render.plugins.water import PhaseTable
+from sim.water import Optics, planes, spread as rings
+from sim.water.planes import PlaneCounts
+from sim.water.spread import ANGLE_AXIS, Crossings, OnceScattered, Spread, tabulate
 from sim.water.tablecache import kept_arrays
+
+# Photons of a pencil beam in endless water, counted where they first cross spheres and planes.
+#
+# The walks are analog: free paths and turns are drawn as the water scatters, absorption is a
+# weight.  Lengths are optical depths.
+
+
+BATCH = 2**20  # photons of one launch: their state is about 50 MB
+# A photon that travels along a sphere as it crosses it adds 1 / 0.01 to the tangential sum at
+# most; a share of 1e-4 of even light is steeper still.
+GRAZING = 0.01
+DIM, SURVIVAL = 0.02, 0.1  # below this weight, one photon in ten goes on
+LOST = 2.0  # times the largest distance: from there hardly a photon comes back
+SUMS = 3  # weight, squared, tangential
+
+
+def first_crossings(
+    phase: Callable[[Floats], Floats],
+    albedo: float,
+    depths: Floats,
+    photons: int,
+    seed: int,
+    progress: Progress | None = None,
+) -> Crossings:
+    """Photons counted in rings of spheres about the origin of their beam.
+
+    Parameters
+    ----------
+    phase : function of the scattering angle in rad, 1/sr
+    albedo : float, b / c, above 0
+    depths : (K,) the spheres' optical radii, rising
+    photons : int, how many at least; they are sent in whole batches
+    seed : int, of the random numbers
+    progress : callable, optional, called with (done, all) after each batch
+    """
+    walk = _ToSpheres(phase, albedo, depths, SUMS * 2 * len(depths) * rings.RINGS)
+    sent = walk.send(photons, seed, progress)
+    sums = np.array(walk.sums).reshape(SUMS, 2, len(depths), rings.RINGS)
+    return Crossings(sent, np.array(depths, dtype=float), *sums)
+
+
+def plane_crossings(
+    phase: Callable[[Floats], Floats],
+    albedo: float,
+    distances: Floats,
+    tilts: Floats,
+    photons: int,
+    seed: int,
+    progress: Progress | None = None,
+) -> PlaneCounts:
+    """Photons scattered more than once, counted in cells of planes across their beam.
+
+    Parameters
+    ----------
+    phase, albedo, seed, progress : as of ``first_crossings``
+    distances : (K,) where the planes cross the beam, optical depths, rising
+    tilts : (T,) rad, between the planes' normals and the beam, 0 to less than pi / 2
+    photons : int, how many at least, shared out to the tilts
+    """
+    shape = len(tilts), len(distances), planes.RINGS, planes.SECTORS
+    walk = _ToPlanes(phase, albedo, distances, int(np.prod(shape)))
+    walk.tilts, walk.kinds = floats(tilts), len(tilts)
+    each = walk.send(-(-photons // len(tilts)) * len(tilts), seed, progress) // len(tilts)
+    weight = np.array(walk.sums).reshape(shape)
+    return PlaneCounts(each, np.array(tilts), np.array(distances, dtype=float), weight)
+
+
+def batches(photons: int) -> int:
+    """How many batches these photons are sent in."""
+    return -(-photons // BATCH)
+
+
+@dataclass(frozen=True)
+class _Crossing:
+    """Photons where they cross the surface of a number; ``active``: those that do."""
+
+    place: mi.Point3f
+    towards: mi.Vector3f
+    weight: mi.Float
+    surface: mi.UInt32
+    order: mi.UInt32
+    lane: mi.UInt32
+    active: mi.Bool
+
+
+class _Walk(ABC):
+    """The water, surfaces in the order in which photons can cross them, and what they count."""
+
+    def __init__(
+        self, phase: Callable[[Floats], Floats], albedo: float, depths: Floats, sums: int
+    ) -> None:
+        self.phase = PhaseTable(phase)
+        self.scattering, self.absorption = opaque(albedo), opaque(1 - albedo)
+        self.surfaces, self.lost = len(depths), opaque((LOST * depths[-1]) ** 2)
+        self.depths = floats(depths)
+        self.sums = dr.zeros(mi.Float64, sums)
+
+    def send(self, photons: int, seed: int, progress: Progress | None) -> int:
+        """Send photons in batches; how many there were."""
+        batch, every = min(BATCH, photons), batches(photons)
+        for number in range(every):
+            self.follow(batch, dr.opaque(mi.UInt64, seed * every + number))
+            dr.eval(self.sums)
+            dr.sync_thread()
+            if progress is not None:
+                progress(number + 1, every)
+        return batch * every
+
+    @dr.syntax
+    def follow(self, count: int, seed: mi.UInt64) -> None:
+        """Send photons until they have crossed all surfaces, are absorbed or are lost."""
+        random = mi.PCG32(size=count, initstate=seed)
+        lane = dr.arange(mi.UInt32, count)
+        place = dr.zeros(mi.Point3f, count)
+        towards = mi.Vector3f(0, 0, dr.full(mi.Float, 1, count))
+        weight = dr.full(mi.Float, 1, count)
+        surface, order = dr.zeros(mi.UInt32, count), dr.zeros(mi.UInt32, count)
+        active = dr.full(mi.Bool, True, count)
+        while active:
+            free = -dr.log(1 - random.next_float32()) / self.scattering
+            crossing = mi.Bool(active)
+            while crossing:
+                depth = dr.gather(mi.Float, self.depths, surface, crossing)
+                path = self.path(place, towards, depth, lane)
+                crossing &= path <= free
+                reached = weight * dr.exp(-self.absorption * path)
+                there = mi.Point3f(place + towards * path)
+                self.count(_Crossing(there, towards, reached, surface, order, lane, crossing))
+                surface = dr.select(crossing, surface + 1, surface)
+                crossing &= surface < self.surfaces
+            place = mi.Point3f(place + towards * free)
+            weight *= dr.exp(-self.absorption * free)
+            active &= (surface < self.surfaces) & (dr.squared_norm(place) < self.lost)
+            sample = mi.Point2f(random.next_float32(), random.next_float32())
+            towards = self.phase.sample_direction(towards, sample)
+            order += 1
+            survival = dr.select(weight < DIM, mi.Float(SURVIVAL), 1)
+            active &= random.next_float32() < survival
+            weight /= survival
+
+    @abstractmethod
+    def path(
+        self, place: mi.Point3f, towards: mi.Vector3f, depth: mi.Float, lane: mi.UInt32
+    ) -> mi.Float:
+        """How far it is to the next surface, infinity where it is not ahead."""
+
+    @abstractmethod
+    def count(self, at: _Crossing) -> None:
+        """Add photons that cross a surface to its sums."""
+
+
+class _ToSpheres(_Walk):
+    """Photons to spheres about the origin."""
+
+    def path(
+        self, place: mi.Point3f, towards: mi.Vector3f, depth: mi.Float, lane: mi.UInt32
+    ) -> mi.Float:
+        ahead = dr.dot(place, towards)
+        beside2 = dr.maximum(dr.squared_norm(place) - dr.square(ahead), 0)
+        return dr.safe_sqrt(dr.square(depth) - beside2) - ahead
+
+    def count(self, at: _Crossing) -> None:
+        up = dr.normalize(mi.Vector3f(at.place))
+        sine = dr.hypot(up.x, up.y)
+        inner = rings.EDGES_FROM
+        angle = dr.log(dr.maximum(dr.atan2(sine, up.z), inner / 2)) - log(inner)
+        ring = 1 + angle * ((rings.RINGS - 1) / log(np.pi / inner))
+        ring = mi.UInt32(dr.clip(ring, 0, rings.RINGS - 1))
+        away = mi.Vector3f(up.x * up.z, up.y * up.z, -dr.square(sine)) / dr.maximum(sine, 1e-20)
+        slope = dr.dot(at.towards, away) / dr.maximum(dr.dot(at.towards, up), GRAZING)
+        often = dr.select(at.order > 1, mi.UInt32(self.surfaces), 0)
+        cell = (often + at.surface) * rings.RINGS + ring
+        scored = at.active & (at.order > 0)
+        for kind, value in enumerate((at.weight, dr.square(at.weight), at.weight * slope)):
+            start = kind * 2 * self.surfaces * rings.RINGS
+            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(value), start + cell, scored)
+
+
+class _ToPlanes(_Walk):
+    """Photons to planes across the beam, each photon to those of one tilt about y."""
+
+    tilts: mi.Float
+    kinds: int
+
+    def path(
+        self, place: mi.Point3f, towards: mi.Vector3f, depth: mi.Float, lane: mi.UInt32
+    ) -> mi.Float:
+        down = self._down(lane)
+        towards_plane = dr.dot(towards, down)
+        path = (depth * down.z - dr.dot(mi.Vector3f(place), down)) / towards_plane
+        return dr.select(towards_plane > 0, path, dr.inf)
+
+    def count(self, at: _Crossing) -> None:
+        angle = dr.atan2(dr.hypot(at.place.x, at.place.y), at.place.z)
+        inner, outer = planes.RINGS_FROM, planes.RINGS_TO
+        ring = (dr.log(dr.maximum(angle, 1e-9)) - log(inner)) * (planes.RINGS / log(outer / inner))
+        scored = at.active & (at.order > 1) & (ring >= 0) & (ring < planes.RINGS)
+        sector = dr.abs(dr.atan2(at.place.y, at.place.x)) * (planes.SECTORS / np.pi)
+        sector = mi.UInt32(dr.minimum(sector, planes.SECTORS - 1))
+        cell = (at.lane % self.kinds * self.surfaces + at.surface) * planes.RINGS + mi.UInt32(ring)
+        cell = cell * planes.SECTORS + sector
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(at.weight), cell, scored)
+
+    def _down(self, lane: mi.UInt32) -> mi.Vector3f:
+        """The planes' normal, away from the beam's origin; they are farther away at x > 0."""
+        sine, cosine = dr.sincos(dr.gather(mi.Float, self.tilts, lane % self.kinds))
+        return mi.Vector3f(-sine, 0, cosine)
+
+
+# Tables of scattered light of a scene's water: made once and kept in the user's cache.
+
 
 FORMAT = 3  # of the kept files: raised where other numbers would be written
 # 81 s of one core in water of 10 NTU, 50 s in 5, 19 s in 1, shared by all cores: a third each for

@@ -46,7 +46,7 @@ class Render(Strict):
     orders is found: "gathered", summed up without noise (sim.render.gathered), or "sampled",
     drawn at random.  scatter_samples: for what is drawn at random; 0 leaves the higher orders
     out, gathered or sampled.  fineness: parts of a pixel's side
-    in which the lens spreads the light before the pixel gathers it (sim.render.fineness).
+    in which the lens spreads the light before the pixel gathers it (sim.render.layers).
     """
 
     samples: Annotated[int, Field(ge=1, le=65536)] = 9

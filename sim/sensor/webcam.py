@@ -15,7 +15,7 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.records import Bytes
-from sim.render.fineness import binned, fineness_of, finer_lens
+from sim.render.layers import binned, fineness_of, finer_lens
 from sim.scene import Lens, Scene, Sensor
 from sim.scene.instrument import Response
 from sim.sensor.noise import (

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from lscan.errors import LscanError
-from sim.debian import found_or_installed
+from sim.render.backend import found_or_installed
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

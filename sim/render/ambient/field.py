@@ -23,8 +23,7 @@ from scipy.spatial import ConvexHull
 from lscan.records import Floats, Ints, select
 from sim.meshes import MeshPart
 from sim.meshes.board import BOARD_PARTS
-from sim.render.ambient.interpolation import Interpolation
-from sim.render.ambient.lattice import NodeLattice, SurfaceNodes
+from sim.render.ambient.lattice import Interpolation, NodeLattice, SurfaceNodes
 from sim.render.plugins.arrays import floats, vectors
 from sim.water import Optics
 

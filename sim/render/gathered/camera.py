@@ -19,8 +19,16 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from lscan.records import Floats
-from sim.render.gathered.chart import COARSER, Chart, ChartGrid, Picture
-from sim.render.gathered.kernel import COSINE_AXIS, HARMONICS, RANGE_AXIS, scatter_kernel
+from sim.render.gathered.chart import (
+    COARSER,
+    COSINE_AXIS,
+    HARMONICS,
+    RANGE_AXIS,
+    Chart,
+    ChartGrid,
+    Picture,
+    scatter_kernel,
+)
 from sim.render.plugins.arrays import floats
 from sim.water.spread import Spread
 

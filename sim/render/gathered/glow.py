@@ -17,12 +17,11 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
+from sim.render.firstorder.rays import HEAD
 from sim.render.gathered.chart import Picture
-from sim.render.plugins.arrays import floats
-from sim.render.plugins.opaque import opaque
+from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.sheet import LaserSheet
-from sim.render.plugins.spread import SpreadLookup
-from sim.render.sparse.rays import HEAD
+from sim.render.plugins.water import SpreadLookup
 from sim.scene import Laser, LaserLine
 from sim.water.spread import LogAxis, Spread
 

@@ -13,20 +13,18 @@ import numpy as np
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import MeshPart
 from sim.render.ambient.field import reflectance
-from sim.render.fineness import binned
+from sim.render.firstorder.rays import HEAD, HeadFrame, HeadRays
+from sim.render.firstorder.survey import NEIGHBOURS, PixelSurvey
 from sim.render.gathered.camera import CameraLeg, Shining, summed_in_cells
 from sim.render.gathered.chart import Chart, ChartGrid, Picture, cells_in_picture, make_chart
 from sim.render.gathered.glow import Glow
-from sim.render.gathered.halopaths import HaloPaths
-from sim.render.gathered.lines import facing
-from sim.render.gathered.points import lit_points
+from sim.render.gathered.line import facing, lit_points
+from sim.render.gathered.occlusion import HaloPaths
 from sim.render.gathered.reflections import LitSurfaces, Reflections
 from sim.render.gathered.veil import HigherVeil
-from sim.render.plugins.arrays import floats, indices, vectors
-from sim.render.plugins.integrator import SheetIntegrator
-from sim.render.plugins.opaque import opaque_vector
-from sim.render.sparse.rays import HEAD, HeadFrame, HeadRays
-from sim.render.sparse.survey import NEIGHBOURS, PixelSurvey
+from sim.render.layers import binned
+from sim.render.plugins.arrays import floats, indices, opaque_vector, vectors
+from sim.render.sampled.integrator import SheetIntegrator
 from sim.render.spreads import spread_of
 from sim.scene import Head, Pose, Scene, head_pose
 from sim.water import Optics

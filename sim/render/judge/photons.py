@@ -6,10 +6,10 @@ import drjit as dr
 import mitsuba as mi
 
 from sim.render.judge.cells import CellRecords, SurfaceCells, voxel_key
-from sim.render.plugins.base import WaterIntegrator
-from sim.render.plugins.beams import straight_rays
-from sim.render.plugins.phase import angle_between
 from sim.render.plugins.sheet import LaserSheet
+from sim.render.plugins.water import angle_between
+from sim.render.sampled.beams import straight_rays
+from sim.render.sampled.integrator import WaterIntegrator
 
 FAINT = 0.05  # of a path's first weight: below, some are ended and the others keep as much
 LONGEST_PATH = 1024

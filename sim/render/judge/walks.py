@@ -15,11 +15,10 @@ import mitsuba as mi
 
 from sim.render.judge.cells import CellRecords, SurfaceCells, voxel_key
 from sim.render.judge.photons import LONGEST_PATH, PhotonRecords, Waters, spared
-from sim.render.plugins.base import Leg
-from sim.render.plugins.beams import Falloff, line_density
-from sim.render.plugins.integrator import SheetIntegrator, crossing_of
-from sim.render.plugins.phase import angle_between
 from sim.render.plugins.sheet import LaserSheet
+from sim.render.plugins.water import angle_between
+from sim.render.sampled.beams import Falloff, line_density
+from sim.render.sampled.integrator import Leg, SheetIntegrator, crossing_of
 
 FAMILIES = ("laser", "camera", "both", "interreflection", "veil")
 HALO_MM = 10.0  # on either side of the sheet, where most of the water's photons are looked for

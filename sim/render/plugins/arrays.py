@@ -5,8 +5,10 @@ where there may be no memory of the process.  It also compiles a kernel of its o
 begins elsewhere in a cache line.  So every array goes through here.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -62,3 +64,16 @@ def _roomy(values: ArrayLike, kind: DTypeLike) -> NDArray[Any]:
     copy = room[first : first + flat.size]
     copy[:] = flat
     return copy
+
+
+# Numbers that may change between frames or rigs without a kernel being compiled anew.
+
+
+def opaque(value: float) -> mi.Float:
+    """The number as a Dr.Jit value that kernels read from memory."""
+    return dr.opaque(mi.Float, float(value))
+
+
+def opaque_vector(values: Iterable[float]) -> mi.Vector3f:
+    """Three numbers as an opaque vector."""
+    return mi.Vector3f(*(opaque(value) for value in values))

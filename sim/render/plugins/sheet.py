@@ -23,8 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.plugins.arrays import floats
-from sim.render.plugins.opaque import opaque, opaque_vector
+from sim.render.plugins.arrays import floats, opaque, opaque_vector
 from sim.scene import Laser, LaserLine, Pose, sheet_pose
 
 BOW_NODES = 16385  # linear between them: q is good to 1e-8 where the window is tilted by 12 deg

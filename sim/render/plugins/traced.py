@@ -2,7 +2,7 @@
 
 Geometry, refraction and Fresnel's loss are Mitsuba's own: stock shapes with the stock
 ``dielectric``, in a small scene of the camera frame that moves with the camera.  So it checks
-sim.render.plugins.ports without sharing a formula with it, and can stand in for it in any picture.
+sim.render.plugins.camera without sharing a formula with it, and can stand in for it in any picture.
 """
 
 from collections.abc import Mapping
@@ -13,8 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.plugins.camera import RefractiveCamera
-from sim.render.plugins.ports import PortCrossing, PortOptics, port_rotation
+from sim.render.plugins.camera import PortCrossing, PortOptics, RefractiveCamera, port_rotation
 from sim.scene import PlanePort, Port
 
 # A port has an inner and an outer face.

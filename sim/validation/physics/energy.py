@@ -7,7 +7,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats
-from sim.render.plugins.ports import fresnel_transmission
+from sim.render.plugins.camera import fresnel_transmission
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.validation.physics.ports import closed_form_rays

@@ -13,7 +13,7 @@ from lscan.config.documents import read_document
 from lscan.files.disk import list_names
 from lscan.files.pictures import encoded
 from lscan.records import Bytes
-from sim.render.fineness import finer_lens
+from sim.render.layers import finer_lens
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
 from sim.sensor import Webcam

@@ -12,8 +12,8 @@ import numpy as np
 from lscan.records import Floats
 from sim.render.judge.judged import JudgeEffort, landed_irradiance
 from sim.render.plugins.arrays import floats
-from sim.render.plugins.base import Leg
-from sim.render.plugins.beams import drawn_beam
+from sim.render.sampled.beams import drawn_beam
+from sim.render.sampled.integrator import Leg
 from sim.render.tank import Tank
 from sim.scene import Laser, Scene
 from sim.validation.physics.rigs import scene_with

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.photons import plane_crossings
-from sim.render.spreads import make_spread
+from sim.render.spreads import make_spread, plane_crossings
 from sim.scene.matter import Water
 from sim.validation.physics.topics import topic
 from sim.validation.rows import Row, Topic, row

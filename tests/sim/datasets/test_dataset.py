@@ -30,8 +30,7 @@ from sim.datasets.dataset import make_dataset
 from sim.datasets.datasetshards import Format, ShardTask, kept_record, packed_shard
 from sim.datasets.datasetspec import load_dataset_spec
 from sim.datasets.labels import Label
-from sim.render.surfaces import surfaces_seen
-from sim.render.tank import Tank
+from sim.render.tank import Tank, surfaces_seen
 from sim.scene import camera_pose, head_pose, load_scene
 from sim.truth import project, stripe_truth
 from sim.validation.regression import datasets as figures

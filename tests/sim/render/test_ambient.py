@@ -9,10 +9,10 @@ import trimesh
 from truth_scenes import tank
 
 from lscan.records import Floats
-from sim.render.ambient import field, picture
+from sim.render.ambient import field
 from sim.render.ambient.field import AmbientField, OpenSky
-from sim.render.ambient.interpolation import Interpolation
-from sim.render.ambient.lattice import SurfaceNodes
+from sim.render.ambient.lattice import Interpolation, SurfaceNodes
+from sim.render.firstorder import picture
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
 from sim.validation.physics.gallery import shrunk

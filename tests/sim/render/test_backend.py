@@ -11,9 +11,8 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
-from sim.debian import PackageError, install_first
 from sim.render import backend
-from sim.render.backend import BackendError, Library, ProbeResult
+from sim.render.backend import BackendError, Library, PackageError, ProbeResult, install_first
 
 WORKS = ProbeResult(works=True)
 FAILS = ProbeResult(works=False, reason="says no")

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from sim.render.ambient.interpolation import Interpolation
-from sim.render.ambient.lattice import SurfaceNodes
-from sim.render.flushing import CAN_FLUSH, flushing
+from sim.render.ambient.lattice import Interpolation, SurfaceNodes
+from sim.render.backend import CAN_FLUSH, flushing
 
 pytestmark = pytest.mark.skipif(not CAN_FLUSH, reason="Linux on x86-64 alone")
 

@@ -14,7 +14,7 @@ from lscan.records import Floats
 from sim.render.gathered import glow as glows
 from sim.render.gathered.glow import Glow, thin_sheet
 from sim.render.plugins.sheet import LaserSheet
-from sim.render.plugins.spread import SpreadLookup
+from sim.render.plugins.water import SpreadLookup
 from sim.scene import Laser, Pose
 from sim.scene.poses import rotation
 

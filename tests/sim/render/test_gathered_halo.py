@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from lscan.records import Floats
-from sim.render.gathered.halopaths import BLOCK, PARTS, START_MM, HaloPaths
+from sim.render.firstorder.rays import HEAD
+from sim.render.gathered.occlusion import BLOCK, PARTS, START_MM, HaloPaths
 from sim.render.gathered.picture import LEFT_APART_MM, GatheredLight
 from sim.render.plugins.arrays import floats, vectors
-from sim.render.sparse.rays import HEAD
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Pose, head_pose, load_scene
 from sim.validation.physics.gallery import shrunk

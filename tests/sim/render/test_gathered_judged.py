@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from lscan.records import Floats
+from sim.render.firstorder.rays import HEAD
 from sim.render.gathered import picture, reflections
 from sim.render.gathered.camera import CameraLeg
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.picture import GatheredLight
 from sim.render.judge.judged import JudgeEffort, judge
-from sim.render.sparse.rays import HEAD
 from sim.render.spreads import spread_of
 from sim.render.tank import Tank
 from sim.scene import load_scene

@@ -11,10 +11,10 @@ from integrator_cases import DRY, INDEX, make_sheet, one_lobe
 from truth_scenes import tank as scene_with
 
 from lscan.records import Floats
+from sim.render.firstorder.rays import HEAD, HeadRays, head_rays
 from sim.render.gathered.picture import _mean_normal
-from sim.render.gathered.smooth import smoothed
-from sim.render.gathered.veil import LEAST_SLOPE, STEP, HigherVeil, _level, field_of_view
-from sim.render.gathered.veilcounts import (
+from sim.render.gathered.veil import LEAST_SLOPE, STEP, HigherVeil, _level, field_of_view, smoothed
+from sim.render.gathered.veilphotons import (
     BATCH,
     COLUMNS,
     EVEN_STEPS,
@@ -26,7 +26,6 @@ from sim.render.gathered.veilcounts import (
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.sheet import LaserSheet
-from sim.render.sparse.rays import HEAD, HeadRays, head_rays
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose, head_pose, load_scene
 from sim.validation.physics.gallery import shrunk

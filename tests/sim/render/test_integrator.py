@@ -21,8 +21,8 @@ from scipy.integrate import quad
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import vectors
-from sim.render.plugins.integrator import SheetIntegrator
 from sim.render.plugins.sheet import LaserSheet
+from sim.render.sampled.integrator import SheetIntegrator
 from sim.render.stockmedium import stock_medium
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose

@@ -21,7 +21,7 @@ from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.judge.photons import PhotonRecords, Waters, shoot
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.arrays import floats, indices
-from sim.render.plugins.multiple import MultipleIntegrator
+from sim.render.sampled.multiple import MultipleIntegrator
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose
 from sim.scene.poses import rotation

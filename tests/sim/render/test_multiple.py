@@ -22,11 +22,10 @@ from integrator_cases import (
 from scipy.special import ndtr
 
 from lscan.records import Floats
-from sim.render.plugins.arrays import floats
-from sim.render.plugins.beams import BeamDensity, beam_density, falloff, line_density
-from sim.render.plugins.integrator import SheetIntegrator
-from sim.render.plugins.multiple import MultipleIntegrator
-from sim.render.plugins.opaque import opaque, opaque_vector
+from sim.render.plugins.arrays import floats, opaque, opaque_vector
+from sim.render.sampled.beams import BeamDensity, beam_density, falloff, line_density
+from sim.render.sampled.integrator import SheetIntegrator
+from sim.render.sampled.multiple import MultipleIntegrator
 from sim.render.stockmedium import stock_medium
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose

@@ -11,7 +11,7 @@ from water_sphere import integral
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats
-from sim.render.plugins.phase import FINEST, FLAT, SCALE, PhaseTable, angle_between, approach
+from sim.render.plugins.water import FINEST, FLAT, SCALE, PhaseTable, angle_between, approach
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
 from sim.water.phase import TABLE_RAD

@@ -8,8 +8,7 @@ import pytest
 from scipy.stats import chi2, norm
 
 from lscan.records import Floats
-from sim.render.photons import first_crossings, plane_crossings
-from sim.render.spreads import TILTS
+from sim.render.spreads import TILTS, first_crossings, plane_crossings
 from sim.scene.matter import Water
 from sim.validation.physics.spreading import on_planes
 from sim.water import water_optics

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.records import Floats
-from sim.render.plugins.ports import (
+from sim.render.plugins.camera import (
     DomeOptics,
     FlatOptics,
     PortCrossing,

@@ -14,18 +14,25 @@ from lscan.records import Floats
 from sim.meshes import MeshPart, scene_parts
 from sim.meshes.parts import moved, plain_mesh
 from sim.render.ambient.field import reflectance
-from sim.render.gathered.beside import CORNER_MM, EVERY, ROWS, _row_places
-from sim.render.gathered.bounces import lasting
+from sim.render.gathered.bounces import CORNER_MM, EVERY, ROWS, _row_places, lasting
 from sim.render.gathered.glow import Glow
-from sim.render.gathered.lines import OFF, RAYS, SEGMENTS, LitLine, _segmented, facing, lit_line
-from sim.render.gathered.received import received, visible_part
-from sim.render.gathered.reflections import Reflections
-from sim.render.gathered.shade import visible_share
+from sim.render.gathered.line import (
+    OFF,
+    RAYS,
+    SEGMENTS,
+    LitLine,
+    _segmented,
+    facing,
+    lit_line,
+    received,
+    visible_part,
+)
+from sim.render.gathered.reflections import Reflections, visible_share
 from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.arrays import vectors
-from sim.render.plugins.integrator import SheetIntegrator
+from sim.render.sampled.integrator import SheetIntegrator
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose, head_pose, load_scene
 from sim.scene.poses import rotation

@@ -14,10 +14,10 @@ from truth_scenes import tank
 
 from lscan.config.documents import merge
 from lscan.records import Floats
-from sim.render.plugins.opaque import opaque
-from sim.render.sparse import picture
-from sim.render.sparse.rays import ROUGHEST
-from sim.render.sparse.survey import _uneven
+from sim.render.firstorder import picture
+from sim.render.firstorder.rays import ROUGHEST
+from sim.render.firstorder.survey import _uneven
+from sim.render.plugins.arrays import opaque
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Scene, load_scene
 from sim.scene.instrument import Drift

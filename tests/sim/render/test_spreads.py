@@ -10,9 +10,9 @@ from shown_work import ShownWork
 
 from lscan.errors import InputError
 from lscan.files.disk import long_work_shown
-from sim.render import photons, spreads
+from sim.render import spreads, spreads as photons
 from sim.render.plugins.arrays import floats
-from sim.render.plugins.spread import SpreadLookup
+from sim.render.plugins.water import SpreadLookup
 from sim.render.spreads import photons_asked_for, spread_of
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics

@@ -12,7 +12,7 @@ from truth_scenes import tank
 from lscan.config.documents import merge
 from lscan.records import Floats, Status
 from sim.render.plugins.arrays import vectors
-from sim.render.plugins.integrator import SheetIntegrator
+from sim.render.sampled.integrator import SheetIntegrator
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.scene.matter import AmbientLight

@@ -25,8 +25,7 @@ from truth_scenes import tank
 from lscan.errors import InputError
 from lscan.records import Floats, Status
 from sim.datasets.labels import label_scene, line_sigma_px
-from sim.render.fineness import binned, fineness_of, finer_lens
-from sim.render.layers import Layers
+from sim.render.layers import Layers, binned, fineness_of, finer_lens
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.sensor import Webcam

@@ -13,12 +13,10 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Ints
-from sim.render.plugins.arrays import floats, indices
-from sim.render.plugins.base import Leg
+from sim.render.plugins.arrays import floats, indices, opaque_vector
 from sim.render.plugins.camera import RefractiveCamera
-from sim.render.plugins.integrator import SheetIntegrator, crossing_of
-from sim.render.plugins.opaque import opaque_vector
 from sim.render.plugins.sheet import LaserSheet
+from sim.render.sampled.integrator import Leg, SheetIntegrator, crossing_of
 from sim.scene import Head, Pose, camera_pose
 
 HEAD = Pose(np.eye(3), np.zeros(3))  # the head's frame itself
