@@ -23,7 +23,7 @@ from lscan.config.rig import Plan, RigFile, load_rig
 from lscan.devices.api import Fact, Grab, PassiveTrack, Track, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
-from sim.ahead import Ahead
+from sim.processes import Ahead
 from sim.scene import SECTIONS, Scene, at_moment, scene_of
 from sim.truth.placement import check_placement
 

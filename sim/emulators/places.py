@@ -10,7 +10,7 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.records import Bytes
 from sim.devices import camera_options
-from sim.helper import HelperProcess, started
+from sim.processes import HelperProcess, started
 from sim.render.backend import sharing
 from sim.render.tank import Tank
 from sim.scene import Scene

@@ -15,8 +15,7 @@ import pytest
 from helper_spies import readiness
 from slow_calls import Squares
 
-from sim.ahead import LEAST, Ahead
-from sim.helper import HelperEnded, HelperProcess
+from sim.processes import LEAST, Ahead, HelperEnded, HelperProcess
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 CALLS = [(number,) for number in range(LEAST + 40)]
@@ -121,7 +120,7 @@ def test_what_the_system_does_not_start_is_made_here(
             raise BlockingIOError("Resource temporarily unavailable")
         return popen(*arguments, **named)
 
-    monkeypatch.setattr("sim.helper.subprocess.Popen", limited)
+    monkeypatch.setattr("sim.processes.subprocess.Popen", limited)
     ahead = Ahead(partial(Squares, 0.0), CALLS, helpers(2))
     assert [ahead.take(*call)[0] for call in CALLS] == [number**2 for (number,) in CALLS]
     assert len(ahead._helpers) == most
@@ -147,7 +146,7 @@ SCRIPT = """
 import sys, time
 from functools import partial
 from slow_calls import Squares
-from sim.helper import HelperProcess
+from sim.processes import HelperProcess
 helper = HelperProcess(partial(Squares, 0.0))
 helper.wait()
 print(helper.process_id, helper(7)[0], flush=True)

@@ -1,10 +1,10 @@
-"""What tests see of the processes that make calls for others (sim/helper.py)."""
+"""What tests see of the processes that make calls for others (sim/processes.py)."""
 
 import threading
 
 import pytest
 
-from sim.helper import HelperProcess
+from sim.processes import HelperProcess
 
 
 def readiness(monkeypatch: pytest.MonkeyPatch) -> threading.Semaphore:

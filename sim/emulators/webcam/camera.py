@@ -12,7 +12,7 @@ import numpy as np
 from lscan.records import Bytes
 from sim.emulators.options import ServeOptions
 from sim.emulators.places import Places
-from sim.helper import HelperEnded, HelperProcess
+from sim.processes import HelperEnded, HelperProcess
 from sim.sensor.noise import jpeg_bytes
 
 CameraFault = Literal["hang", "drop", "black", "wrong-size", "frozen"]
