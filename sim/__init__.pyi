@@ -2,7 +2,7 @@
 
 from sim.devices import render_picture as render_picture
 from sim.emulators.hardware import EmulatedHardware as EmulatedHardware
-from sim.emulators.options import ServeOptions as ServeOptions
+from sim.emulators.track import ServeOptions as ServeOptions
 from sim.scene import (
     Moment as Moment,
     Scene as Scene,

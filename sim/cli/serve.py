@@ -56,9 +56,8 @@ def serve(
     """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
     from lscan.config.documents import check
     from sim.devices import load_checked
-    from sim.emulators.faults import parse_fault
-    from sim.emulators.hardware import EmulatedHardware
-    from sim.emulators.options import ServeOptions
+    from sim.emulators.hardware import EmulatedHardware, parse_fault
+    from sim.emulators.track import ServeOptions
 
     given = {
         "http_port": http_port,
@@ -110,7 +109,7 @@ def _rig_files(scenes: list[Path], write_rig: Path | None) -> list[Path | None]:
 
     Nothing but what this command wrote is replaced, least of all a scene.
     """
-    from sim.emulators.rigfile import HEADING
+    from sim.emulators.hardware import HEADING
 
     if write_rig is None:
         return [None] * len(scenes)

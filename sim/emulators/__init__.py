@@ -1,7 +1,6 @@
 """The tank as hardware: a webcam over HTTP and a Grbl track on a pseudo-terminal."""
 
-from sim.emulators.faults import NAMES, TimedFault, parse_fault
-from sim.emulators.hardware import EmulatedHardware
-from sim.emulators.options import ServeOptions
+from sim.emulators.hardware import NAMES, EmulatedHardware, TimedFault, parse_fault
+from sim.emulators.track import ServeOptions
 
 __all__ = ["NAMES", "EmulatedHardware", "ServeOptions", "TimedFault", "parse_fault"]

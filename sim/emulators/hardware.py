@@ -1,30 +1,144 @@
 """The tank as hardware: all of it, plugged in and switched on within a ``with`` block."""
 
+import math
 import threading
+from collections.abc import Mapping
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
+from typing import Any, Self, get_args
+
+import numpy as np
 
 from lscan.config.documents import Document, write_toml
-from lscan.config.rig import RigFile, parse_rig
+from lscan.config.rig import Rig, RigFile, parse_rig
+from lscan.errors import InputError
 from lscan.files.disk import make_folder
 from lscan.records import Progress
-from sim.emulators.faults import (
-    CAMERA_FAULTS,
-    HEALED,
-    TRACK_FAULTS,
-    UNPLUGGED,
-    TimedFault,
-    check_name,
-)
 from sim.emulators.grbl import Faults, GrblEmulator
-from sim.emulators.options import ServeOptions
-from sim.emulators.places import Places
-from sim.emulators.rigfile import HEADING, rig_document
-from sim.emulators.track import EmulatedTrack
-from sim.emulators.webcam.camera import EmulatedCamera, HeadState
-from sim.emulators.webcam.mjpeg import SNAPSHOT, STREAM, MjpegServer
-from sim.scene import Scene
+from sim.emulators.track import EmulatedTrack, ServeOptions
+from sim.emulators.webcam import (
+    SNAPSHOT,
+    STREAM,
+    CameraFault,
+    EmulatedCamera,
+    HeadState,
+    MjpegServer,
+    Places,
+)
+from sim.scene import Scene, camera_pose
+from sim.water import water_optics
+
+# Faults of the emulated hardware by name, as a command line gives them.
+
+
+CAMERA_FAULTS: Mapping[str, CameraFault] = {
+    f"camera-{fault}": fault for fault in get_args(CameraFault)
+}
+TRACK_FAULTS: Mapping[str, Faults] = {
+    "track-silent": Faults(silent=True),
+    "track-garbled": Faults(garble=0.2, seed=1),
+    "track-alarm": Faults(alarm=True),  # the limit switch closes in the next motion
+    "track-stuck": Faults(stuck=True),
+}
+UNPLUGGED, HEALED = "track-unplugged", "none"
+NAMES = (*CAMERA_FAULTS, *TRACK_FAULTS, UNPLUGGED, HEALED)
+
+
+@dataclass(frozen=True)
+class TimedFault:
+    """A fault, one of NAMES, and how long after the start it begins; "none" ends all others."""
+
+    name: str
+    after_s: float
+
+
+def parse_fault(text: str) -> TimedFault:
+    """The fault that a text names, and when it begins.
+
+    Parameters
+    ----------
+    text : str, ``NAME@SECONDS``; at once without the seconds
+
+    Raises
+    ------
+    InputError
+        The text names no fault, or no time from 0 to 1e6 s.
+    """
+    name, at, seconds = text.partition("@")
+    check_name(name)
+    try:
+        after_s = float(seconds) if at else 0.0
+    except ValueError:
+        after_s = math.nan
+    if not 0 <= after_s <= 1e6:  # nor NaN
+        allowed = "NAME@SECONDS, 0 to 1e6"
+        raise InputError("bad time", where="--fault", value=text, allowed=allowed)
+    return TimedFault(name, after_s)
+
+
+def check_name(name: str) -> None:
+    """Raise InputError where no fault is called so."""
+    if name not in NAMES:
+        raise InputError("no such fault", where="--fault", value=name, allowed=", ".join(NAMES))
+
+
+# The rig file of the emulated hardware: the scene's instrument, with the drivers of real ones.
+
+
+HEADING = "# Written by `lscan-sim serve`: the tank as a webcam and a track."
+TIMEOUT_S = 30.0
+"""For a picture: it may wait for several renderings, of the places passed and its own, each of
+seconds on a busy machine.  Not measured: the same scene gives the same file each time."""
+
+
+def rig_document(
+    scene: Scene, url: str, track: Mapping[str, Any], *, switched_laser: bool = False
+) -> Document:
+    """The scene's own sections without the tank's, its devices replaced, and ``[sheet]``.
+
+    url: of the camera's stream, for the driver "opencv".  track: ``[track.options]`` of "grbl".
+    switched_laser: the track lights the laser, so a plan that says nothing of it gets "on".
+    """
+    # A picture handed out while the head rests is true when it is sent; flush_frames takes care
+    # of the one that was on its way when the head came to rest.
+    camera = {"url": url, "warm_up_frames": 2, "flush_frames": 1, "timeout_s": TIMEOUT_S}
+    instrument = {key: value for key, value in scene.document.items() if key in Rig.model_fields}
+    section = {key: value for key, value in instrument["camera"].items() if key != "options"}
+    if switched_laser:
+        instrument["plan"] = {"laser": "on", **instrument.get("plan", {})}
+    sheet = sheet_section(scene)
+    if sheet is not None:
+        instrument = {"sheet": sheet, **instrument}
+    return {
+        **instrument,
+        "camera": {**section, "driver": "opencv", "options": camera},
+        "track": {"driver": "grbl", "options": dict(track)},
+    }
+
+
+def sheet_section(scene: Scene) -> dict[str, Any] | None:
+    """``[sheet]`` as a ruler at the scene's head would measure it, the thickness to 0.01 mm.
+
+    The thickness is that at the place the camera looks at, where its axis meets the head's
+    plane y = 0.  None for a camera that does not look at that plane from before it.
+    """
+    laser, pose = scene.tank.laser, camera_pose(scene.tank.head)
+    axis = pose.rotation[:, 2]
+    if pose.origin_mm[1] >= 0 or axis[1] <= 0:
+        return None
+    seen_mm = pose.origin_mm - axis * pose.origin_mm[1] / axis[1]
+    index = water_optics(scene.tank.water, laser.wavelength_nm).index
+    distance_mm = np.linalg.norm([seen_mm - np.array(laser.apex_mm)], axis=1)
+    return {
+        "thickness_mm": round(float(laser.half_thickness_mm(distance_mm, index)[0]), 2),
+        "camera_mm": list(scene.tank.head.camera_mm),
+        "apex_mm": list(laser.apex_mm),
+    }
+
+
+# The tank as hardware: all of it, plugged in and switched on within a ``with`` block.
+
 
 PLACES_BESIDE_THE_PLAN = 4  # of homing and approach
 
@@ -121,7 +235,7 @@ class EmulatedHardware:
 
         Parameters
         ----------
-        name : str, one of ``sim.emulators.faults.NAMES``; "none" ends all
+        name : str, one of ``sim.emulators.hardware.NAMES``; "none" ends all
 
         Raises
         ------

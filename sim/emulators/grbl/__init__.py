@@ -4,11 +4,17 @@
 time, ``PseudoTerminal`` one that any program opens as a serial port, ``Faults`` what goes wrong.
 """
 
-from sim.emulators.grbl.controller import GrblEmulator
-from sim.emulators.grbl.line import DirectLine, Faults, PseudoTerminal, SimulatedTime
-from sim.emulators.grbl.marlin import MarlinEmulator
-from sim.emulators.grbl.modes import FLUIDNC, GRBL, GRBL_ESP32, GRBLHAL, GRBLHAL_AS_GRBL, Firmware
-from sim.emulators.grbl.settings import DEFAULTS
+from sim.emulators.grbl.controller import GrblEmulator, MarlinEmulator
+from sim.emulators.grbl.machine import DirectLine, Faults, PseudoTerminal, SimulatedTime
+from sim.emulators.grbl.protocol import (
+    DEFAULTS,
+    FLUIDNC,
+    GRBL,
+    GRBL_ESP32,
+    GRBLHAL,
+    GRBLHAL_AS_GRBL,
+    Firmware,
+)
 
 __all__ = [
     "DEFAULTS",

@@ -1,16 +1,21 @@
 """What the emulated controllers have in common: a machine of three axes, and bytes in and out."""
 
+import contextlib
+import os
+import select
 import threading
 import time
+import tty
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Self
 
-from sim.emulators.grbl.axes import Axes
-from sim.emulators.grbl.gcode import GcodeBlock
-from sim.emulators.grbl.modes import Modes
-from sim.emulators.grbl.motion import Place
-from sim.emulators.grbl.settings import DEFAULTS
+import numpy as np
+
+from sim.emulators.grbl.motion import Axes, Place
+from sim.emulators.grbl.protocol import DEFAULTS, GcodeBlock, Modes
 
 
 class EmulatedController(ABC):
@@ -121,3 +126,178 @@ class EmulatedController(ABC):
     def _say(self, *lines: str) -> None:
         for line in lines:
             self._out += line.encode("ascii") + self.line_end
+
+
+# Serial lines to an emulated controller, in simulated time or opened by the system; faults.
+
+
+TICK_S = 0.002  # of simulated time that a read without an answer takes
+POLL_S = 0.002  # between looks at a controller that has not been spoken to
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Faults that act from ``begin_s`` on, on the emulator's clock.
+
+    Attributes
+    ----------
+    begin_s : float, s
+    silent : bool, nothing is answered any more
+    garble : float, chance that a byte, in either direction, is replaced by any other
+    seed : int, of the generator that draws those bytes
+    lose_oks : int, how many of the next ok never arrive
+    alarm : bool, the limit switch closes during the next motion
+    stuck : bool, a motion goes no further, though the controller says it does
+    slow : float, how many times longer a motion takes
+    restart : bool, the supply dips; the controller starts anew and takes where it stands for zero
+    quietly : bool, the banner of that restart is lost
+    late_cancel : bool, a jog is cancelled as it ends, which leaves Grbl suspended until a "~"
+    unplug : bool, the line breaks
+    """
+
+    begin_s: float = 0.0
+    silent: bool = False
+    garble: float = 0.0
+    seed: int = 0
+    lose_oks: int = 0
+    alarm: bool = False
+    stuck: bool = False
+    slow: float = 1.0
+    restart: bool = False
+    quietly: bool = False
+    late_cancel: bool = False
+    unplug: bool = False
+
+
+NO_FAULTS = Faults()
+
+
+def garbled(data: bytes, chance: float, generator: np.random.Generator) -> bytes:
+    """The bytes, each replaced with this chance by another value."""
+    if chance <= 0 or not data:
+        return data
+    values = np.frombuffer(data, dtype=np.uint8)
+    hit = generator.random(values.size) < chance
+    other = (values + generator.integers(1, 256, values.size)) % 256
+    return np.where(hit, other, values).astype(np.uint8).tobytes()
+
+
+class SimulatedTime:
+    """A clock that goes on only when someone sleeps."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def __call__(self) -> float:
+        """The time, s."""
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass at once.
+
+        Parameters
+        ----------
+        seconds : float, s
+        """
+        self.now_s += seconds
+
+
+class DirectLine:
+    """A serial port without a wire: reading what has not come lets simulated time pass.
+
+    Parameters
+    ----------
+    controller : EmulatedController, at the other end of the line
+    time : SimulatedTime, the controller's clock
+    """
+
+    def __init__(self, controller: EmulatedController, time: SimulatedTime) -> None:
+        self._controller, self._time = controller, time
+        self._waiting = bytearray()
+        self.closed = False
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes ready to be read."""
+        self._check_open()
+        self._waiting += self._controller.transmit()
+        return len(self._waiting)
+
+    def read(self, size: int) -> bytes:
+        """Up to ``size`` bytes; none after a tick of simulated time.
+
+        Parameters
+        ----------
+        size : int, number of bytes
+        """
+        if not self.in_waiting:
+            self._time.sleep(TICK_S)
+        data = bytes(self._waiting[:size])
+        del self._waiting[:size]
+        return data
+
+    def write(self, data: bytes) -> int:
+        """Send bytes.
+
+        Parameters
+        ----------
+        data : bytes, for the controller
+        """
+        self._check_open()
+        self._controller.receive(data)
+        return len(data)
+
+    def close(self) -> None:
+        """Close the port."""
+        self.closed = True
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise OSError("the port is closed")
+
+
+class PseudoTerminal:
+    """A controller behind a pseudo-terminal, in real time, in a thread of its own.
+
+    with PseudoTerminal(GrblEmulator()) as terminal:
+        ...  # open terminal.port as a serial port
+    """
+
+    def __init__(self, controller: EmulatedController) -> None:
+        self._controller = controller
+        self._master, self._slave = os.openpty()
+        tty.setraw(self._slave)  # no echo, no line ends changed
+        self.port = os.ttyname(self._slave)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name=f"serial {self.port}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Pull the cable: the port vanishes under whoever has it open; twice is harmless."""
+        self._ended.set()
+        self._thread.join()
+        self._close_ends()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _serve(self) -> None:
+        """Carry bytes until unplugged, by the controller or from outside."""
+        try:
+            while not self._ended.is_set():
+                ready, _, _ = select.select([self._master], [], [], POLL_S)
+                if ready:
+                    self._controller.receive(os.read(self._master, 4096))
+                if data := self._controller.transmit():
+                    os.write(self._master, data)
+        except OSError:
+            self._close_ends()
+
+    def _close_ends(self) -> None:
+        for end in (self._master, self._slave):
+            with contextlib.suppress(OSError):
+                os.close(end)
+        self._master = self._slave = -1

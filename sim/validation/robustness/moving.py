@@ -11,8 +11,7 @@ from lscan.acquisition.scan import open_track
 from lscan.config.documents import merge
 from lscan.config.rig import load_rig, parse_rig
 from lscan.files.disk import make_folder
-from sim.emulators.webcam.camera import LONG_MOVE_S
-from sim.emulators.webcam.mjpeg import BOUNDARY
+from sim.emulators.webcam import BOUNDARY, LONG_MOVE_S
 from sim.validation.robustness.commands import command_running
 from sim.validation.rows import Row, row
 

@@ -30,7 +30,7 @@ from lscan.errors import InputError
 from lscan.records import Bytes, Floats
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.emulators import EmulatedHardware, ServeOptions
-from sim.emulators.webcam.camera import Shot
+from sim.emulators.webcam import Shot
 from sim.scene import Scene
 from sim.sensor.noise import from_jpeg, jpeg_bytes
 
@@ -147,7 +147,7 @@ def test_a_long_move_is_seen_as_it_goes_on(
     def sharing() -> Iterator[list[dict[str, str]]]:
         yield [{"LSCAN_THREADS": "2"}] * others
 
-    monkeypatch.setattr("sim.emulators.places.sharing", sharing)
+    monkeypatch.setattr("sim.emulators.webcam.sharing", sharing)
     with EmulatedHardware(scene) as hardware:
         hurry(hardware)
         rig_file = quick_rig(hardware, feed_mm_min=2250.0, settle_s=0.0, approach_mm=0.0)

@@ -10,7 +10,7 @@ from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import scan
 from lscan.errors import DeviceError, InputError
 from sim.emulators import EmulatedHardware, ServeOptions, TimedFault, parse_fault
-from sim.emulators.faults import CAMERA_FAULTS, HEALED, NAMES, TRACK_FAULTS, UNPLUGGED
+from sim.emulators.hardware import CAMERA_FAULTS, HEALED, NAMES, TRACK_FAULTS, UNPLUGGED
 
 pytestmark = pytest.mark.xdist_group("serve_faults")  # one worker: they share a fixture
 

@@ -12,7 +12,7 @@ from lscan.acquisition.scan import scan
 from lscan.config.documents import Document
 from lscan.config.rig import SheetSection, load_rig
 from sim.emulators import EmulatedHardware, ServeOptions
-from sim.emulators.rigfile import rig_document
+from sim.emulators.hardware import rig_document
 
 
 def test_the_tank_served_anew_writes_the_same_rig_but_for_its_address(tmp_path: Path) -> None:

@@ -1,11 +1,97 @@
-"""What a G-code controller keeps from line to line: its modal state, and how it reads targets."""
+"""Blocks of G-code, read and checked as Grbl 1.1 does, with its error codes."""
 
 import math
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
-from sim.emulators.grbl.gcode import GcodeBlock, GcodeError
 from sim.emulators.grbl.motion import Place
+
+LONGEST = 80  # Grbl's LINE_BUFFER_SIZE; a longer line is error 11
+
+_WORD = re.compile(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))")
+_COMMENT = re.compile(r"\([^)]*\)|;.*")
+
+GROUPS = {
+    "G": {
+        "motion": (0, 1, 80),
+        "units": (20, 21),
+        "distance": (90, 91),
+        "feed mode": (94,),
+        "plane": (17,),
+        "coordinates": (54,),
+        "once": (4, 53, 92),
+    },
+    "M": {"spindle": (3, 4, 5), "coolant": (8, 9)},
+}
+"""Modal groups of G and of M, and the codes of each that are emulated."""
+
+
+class GcodeError(Exception):
+    """A block that Grbl answers with ``error:code``."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+@dataclass
+class GcodeBlock:
+    """A checked block.
+
+    codes: the G and M codes by group.  axes: axis words by letter.  words: all other words by
+    letter.
+    """
+
+    codes: dict[str, int] = field(default_factory=dict)
+    axes: dict[str, float] = field(default_factory=dict)
+    words: dict[str, float] = field(default_factory=dict)
+
+
+def clean(text: str) -> str:
+    """The line as Grbl keeps it: no spaces, no comments, capitals."""
+    return re.sub(r"\s", "", _COMMENT.sub("", text)).upper()
+
+
+def parse_block(text: str) -> GcodeBlock:
+    """The block of a cleaned line; GcodeError where Grbl would refuse it."""
+    block, at = GcodeBlock(), 0
+    while at < len(text):
+        if not text[at].isalpha():
+            raise GcodeError(1)
+        word = _WORD.match(text, at)
+        if word is None:
+            raise GcodeError(2)
+        _take(block, word[1], float(word[2]))
+        at = word.end()
+    return block
+
+
+def _take(block: GcodeBlock, letter: str, value: float) -> None:
+    if letter in GROUPS and value != int(value):
+        raise GcodeError(23 if letter == "M" else 20)
+    if letter in GROUPS:
+        groups = GROUPS[letter].items()
+        group = next((name for name, codes in groups if value in codes), None)
+        if group is None:
+            raise GcodeError(20)
+        if group in block.codes:
+            raise GcodeError(21)
+        block.codes[group] = int(value)
+    elif letter in "XYZFSPNT":
+        words = block.axes if letter in "XYZ" else block.words
+        if letter in words:
+            raise GcodeError(25)
+        if value < 0 and letter not in "XYZ":
+            raise GcodeError(4)
+        words[letter] = value
+    else:
+        raise GcodeError(20 if letter in "ABCDEHO" else 36)
+
+
+# What a G-code controller keeps from line to line: its modal state, and how it reads targets.
+
 
 INCH_MM = 25.4
 AXES = "XYZ"
@@ -137,3 +223,43 @@ class Modes:
             zero_mm = 0.0 if machine else self.offset_mm[axis]
             target_mm[axis] = value * unit_mm + (zero_mm if absolute else target_mm[axis])
         return tuple(target_mm)
+
+
+# Grbl's ``$`` settings, and numbers as it writes them.
+
+
+DEFAULTS: Mapping[int, float] = {
+    **{0: 10, 1: 255, 2: 0, 3: 0, 4: 0, 5: 0, 6: 0, 10: 1, 11: 0.01, 12: 0.002, 13: 0},
+    **{20: 1, 21: 0, 22: 1, 23: 0, 24: 25, 25: 500, 26: 250, 27: 1, 30: 1000, 31: 0, 32: 0},
+    **{100: 250, 101: 250, 102: 250, 110: 3000, 111: 3000, 112: 3000},
+    **{120: 200, 121: 200, 122: 200, 130: 200, 131: 200, 132: 200},
+}
+_WHOLE = frozenset(range(7)) | {10, 13, 20, 21, 22, 23, 26, 30, 31, 32}
+
+
+def setting_lines(settings: Mapping[int, float], silent: Collection[int] = ()) -> list[str]:
+    """The answer to ``$$``, without the numbers that the firmware is silent on."""
+    return [
+        f"${number}={value:.0f}" if number in _WHOLE else f"${number}={value:.3f}"
+        for number, value in sorted(settings.items())
+        if number not in silent
+    ]
+
+
+def change_setting(settings: dict[int, float], name: str, text: str) -> None:
+    """Carry out ``$name=text``; GcodeError where Grbl would refuse it."""
+    if not name.isdecimal() or int(name) not in settings:
+        raise GcodeError(3)
+    if not re.fullmatch(r"[-+]?(?:\d+\.?\d*|\.\d+)", text):
+        raise GcodeError(2)
+    value = float(text)
+    if value < 0:
+        raise GcodeError(4)
+    if int(name) == 20 and value and not settings[22]:
+        raise GcodeError(10)
+    settings[int(name)] = value
+
+
+def coordinates(numbers: Iterable[float], unit: float = 1.0) -> str:
+    """Coordinates as Grbl writes them, without a minus before zero."""
+    return ",".join(f"{round(number * unit, 3) + 0.0:.3f}" for number in numbers)

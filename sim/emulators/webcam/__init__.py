@@ -1,1 +1,0 @@
-"""The tank as a webcam on a network."""
