@@ -14,7 +14,7 @@ from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
 from sim.datasets.datasetspec import DatasetFile
-from sim.datasets.suitespec import SuiteSpecFile
+from sim.datasets.suite import SuiteSpecFile
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections
 from sim.studies.catalogue import Catalogue

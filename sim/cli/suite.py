@@ -38,8 +38,7 @@ def make(
     json: Json = False,
 ) -> None:
     """Render a suite, or go on where it was ended; lscan bench --suite judges by it."""
-    from sim.datasets.suite import make_cached_suite, make_suite
-    from sim.datasets.suitespec import load_suite_spec
+    from sim.datasets.suite import load_suite_spec, make_cached_suite, make_suite
 
     if not 1 <= workers <= MOST_WORKERS:
         allowed = f"1 to {MOST_WORKERS}"

@@ -53,7 +53,7 @@ def tank() -> TankPictures:
     pytest.importorskip("mitsuba", reason="rendering needs pip install 'lscan[tank]'")
     from lscan.config.documents import by_content, merge, read_document
     from lscan.config.scenes import included_file
-    from sim.datasets.rendered import rendered_case
+    from sim.datasets.cases import rendered_case
 
     known: dict[str, SuiteCase | BoardCase] = {}
 

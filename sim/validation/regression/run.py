@@ -7,8 +7,7 @@ from pathlib import Path
 from lscan.benchmark.suiterun import DRAWN
 from lscan.records import Progress
 from lscan.suites.files import suite_cache, suites_found
-from sim.datasets.suite import make_cached_suite
-from sim.datasets.suitespec import load_suite_spec
+from sim.datasets.suite import load_suite_spec, make_cached_suite
 from sim.validation.chapters import in_turn
 from sim.validation.regression.datasets import dataset_rows
 from sim.validation.regression.mutations import mutation_rows, paired_rows

@@ -13,8 +13,7 @@ from lscan.benchmark.suiterun import run_suite
 from lscan.errors import InputError
 from lscan.suites import open_suite, verify_suite
 from lscan.suites.content import TRUTH
-from sim.datasets.suite import make_suite
-from sim.datasets.suitespec import load_suite_spec
+from sim.datasets.suite import load_suite_spec, make_suite
 from sim.validation.regression.harm import harmed
 from sim.validation.rows import Row, row
 

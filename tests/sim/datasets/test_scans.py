@@ -13,8 +13,7 @@ from lscan.errors import InputError
 from lscan.records import Status
 from lscan.stripe import find_extractor
 from lscan.suites import open_suite, verify_suite
-from sim.datasets.suite import make_suite
-from sim.datasets.suitespec import load_suite_spec
+from sim.datasets.suite import load_suite_spec, make_suite
 
 pytestmark = pytest.mark.xdist_group("scans")  # one worker: they share a fixture
 

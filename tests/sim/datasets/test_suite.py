@@ -21,11 +21,10 @@ from lscan.files.disk import lock_folder
 from lscan.records import Status
 from lscan.suites import open_suite, verify_suite
 from lscan.suites.content import LEAST_DN, STEPS, layers_of_picture, layers_picture
-from sim.datasets import suite, suitespec
+from sim.datasets import suite, suite as suitespec
+from sim.datasets.cases import line_case, line_truths
 from sim.datasets.labels import one_step_w_m2_sr
-from sim.datasets.lines import line_case, line_truths
-from sim.datasets.suite import make_cached_suite, make_suite
-from sim.datasets.suitespec import covering, load_suite_spec
+from sim.datasets.suite import covering, load_suite_spec, make_cached_suite, make_suite
 from sim.render.layers import Layers
 
 SMALL = """
