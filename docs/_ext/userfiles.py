@@ -17,7 +17,7 @@ from sim.datasets.datasetspec import DatasetFile
 from sim.datasets.suite import SuiteSpecFile
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections
-from sim.studies.catalogue import Catalogue
+from sim.studies.design.catalogue import Catalogue
 from sim.studies.studyfile import StudyFile
 
 IN_RIG_ONLY = ("board",)  # its keys are those of a board file

@@ -18,8 +18,8 @@ from lscan.errors import InputError
 from sim.cli.arguments import OutputFolder, ScenesFolder
 
 if TYPE_CHECKING:
-    from sim.studies.intervals import Bounded
-    from sim.studies.records import CauseBudget, DesignTrial, OutputBudget
+    from sim.studies.budget import CauseBudget, DesignTrial, OutputBudget
+    from sim.studies.indices import Bounded
 
 MOST_WORKERS = 1024
 STUDIES = "cross-check, first-rig, paper-budget, recalibration, seasons, tolerances"
@@ -55,7 +55,7 @@ def study(
     """Where the error of a rig comes from: a budget, cause by cause, with intervals."""
     from sim.studies.page import kept
     from sim.studies.results import as_document
-    from sim.studies.running import StudyOptions
+    from sim.studies.run.running import StudyOptions
     from sim.studies.study import run_study
     from sim.studies.studyfile import Tier
 
@@ -115,7 +115,7 @@ def concavity(
 
 def _print_budgets(outputs: "tuple[OutputBudget, ...]") -> None:
     """The table of each field, cause by cause, and one of all other quantities."""
-    from sim.studies.plots import largest
+    from sim.studies.page import largest
 
     for budget in (output for output in outputs if output.places > 1):
         again = {cause.cause: cause for cause in budget.after.causes} if budget.after else {}

@@ -146,7 +146,7 @@ def _made(
     if workers == "none":
         yield from map(make_shard, tasks)
         return
-    from sim.studies.cluster import in_order, open_client  # takes a second to import
+    from sim.studies.run.executor import in_order, open_client  # takes a second to import
 
     with open_client(workers, scheduler) as client:
         first = tasks[0]

@@ -23,7 +23,7 @@ from sim.devices import load_checked
 from sim.scene import Scene
 from sim.scene.instrument import Seed
 from sim.scene.varying import ChangingKey, number_at, with_numbers
-from sim.studies.distribution import Distribution
+from sim.studies.studyfile import Distribution
 
 POSITION = "plan.position_mm"  # of the head along the track, which is no number of the scene
 EACH_PICTURE = frozenset((*get_args(ChangingKey), POSITION))

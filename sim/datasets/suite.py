@@ -509,7 +509,7 @@ def _made(
     if workers == "none" or len(tasks) < 2:
         yield from map(make_cases, tasks)
         return
-    from sim.studies.cluster import in_order, open_client  # takes a second to import
+    from sim.studies.run.executor import in_order, open_client  # takes a second to import
 
     with open_client(min(workers, len(tasks))) as client:
         yield from in_order(client, make_cases, tasks, lambda reason: f"its render {reason}")

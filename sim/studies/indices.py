@@ -25,16 +25,192 @@ Lamboni, Monod & Makowski 2011, Reliability Engineering and System Safety 96.
 Gamboa, Janon, Klein & Lagnoux 2014, Electronic Journal of Statistics 8.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import t as student
 
 from lscan.records import Floats, Mask
-from sim.studies.intervals import Bounded, interval
-from sim.studies.multifidelity import Figure, term_means
-from sim.studies.problem import Output, columns
-from sim.studies.sampling import AGAIN, ALL, SETS, Design, mixed
+from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, columns, mixed
+
+# 95 % confidence intervals from the scatter of a design's independent sets of points.
+#
+# The jackknife takes one set away at a time.  Its pseudo-values are nearly independent values of
+# the figure itself, free of its bias of first order: their mean is the figure, their scatter gives
+# Student's interval.  A figure that cannot be negative, and is not near zero, gets it on a
+# logarithmic scale, where its distribution is more nearly symmetrical.
+#
+# References
+# ----------
+# Tukey 1958, Annals of Mathematical Statistics 29, 614; Efron & Stein 1981, Annals of Statistics
+# 9.
+
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """A figure with its 95 % confidence interval; NaN where there is none."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval's width."""
+        return (self.high - self.low) / 2
+
+
+def set_sums(samples: Floats) -> Floats:
+    """(SETS, q) sums of (N, q) samples over those of each set.
+
+    Parameters
+    ----------
+    samples : (N, q) array, in the order of a design's block; zero where left out
+    """
+    sums: Floats = samples.reshape(-1, SETS, samples.shape[-1]).sum(axis=0)
+    return sums
+
+
+def pseudo_values(sums: Floats, figure: Callable[[Floats], Floats]) -> Floats:
+    """(SETS,) pseudo-values of a figure; NaN of a set that has no samples.
+
+    Parameters
+    ----------
+    sums : (SETS, q) array, sums over samples, the first of them their number
+    figure : callable, from (..., q) sums to the figure, (...)
+    """
+    filled = sums[:, 0] > 0
+    sets, total = int(filled.sum()), sums.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        values = sets * figure(total) - (sets - 1) * figure(total - sums)
+    return np.where(filled, values, np.nan)
+
+
+def interval(pseudo: Floats, positive: bool = False) -> Bounded:
+    """The figure and its interval.
+
+    Parameters
+    ----------
+    pseudo : (SETS,) array, pseudo-values, NaN of an empty set
+    positive : bool, the figure cannot be negative
+    """
+    pseudo = pseudo[np.isfinite(pseudo)]
+    if len(pseudo) < 2:
+        return Bounded(np.nan, np.nan, np.nan)
+    value = float(pseudo.mean())
+    error = float(pseudo.std(ddof=1)) / len(pseudo) ** 0.5
+    reach = float(student.ppf(0.5 + CONFIDENCE / 2, len(pseudo) - 1)) * error
+    if positive and value > reach:
+        factor = float(np.exp(reach / value))
+        return Bounded(value, value / factor, value * factor)
+    return Bounded(value, value - reach, value + reach)
+
+
+# Means in a dear tier from few of its runs and many of a cheap one: control variates.
+#
+# With y a term in the dear tier and x the same in the cheap one, of the same rig, the mean of y
+# over
+# n rigs is corrected by how far the mean of x over these n is from that over all N:
+#
+#     y_n + alpha (x_N - x_n).
+#
+# For a fixed alpha it has no bias, whatever x is.  Its scatter is least where alpha is the slope
+# of y
+# on x, and then that of what x does not explain.  The slope is found from the same n rigs: that
+# costs a factor of (n - 2) / (n - 3) of the variance, and a bias that the jackknife removes to
+# first
+# order.  The products that Sobol' indices are ratios of are such terms.
+#
+# References
+# ----------
+# Lavenberg & Welch 1981, Management Science 27, 322: the slope from the same samples.
+# Peherstorfer, Willcox & Gunzburger 2016, SIAM Journal on Scientific Computing 38, A3163.
+# Qian, Peherstorfer, O'Malley, Vesselinov & Willcox 2018, SIAM/ASA Journal on Uncertainty
+# Quantification 6, 683: Sobol' indices.
+
+
+Figure = Callable[[Floats], Floats]
+"""From (..., q) means of terms to a figure, (...)."""
+
+CONSTANT = 1e-12
+"""Variance over mean square of a term that does not vary: what is left of it is rounding."""
+
+
+@dataclass(frozen=True)
+class TermMeans:
+    """Means of q terms over a design's samples, and over all of its sets but one.
+
+    Attributes
+    ----------
+    sums : (SETS, 1 + q) array, number of samples, and sums of the terms over them; of two tiers
+        (SETS, 2 + 5 q): that of the cheap one, and of the samples that both have their number and
+        sums of x, y, x^2 and x y
+    terms : int, q
+    """
+
+    sums: Floats
+    terms: int
+
+    @property
+    def used(self) -> int:
+        """The samples that count; of two tiers, those that both have."""
+        return int(self.sums[:, self._counted].sum())
+
+    def pseudo_values(self, figure: Figure) -> Floats:
+        """(SETS,) pseudo-values of a figure; of two tiers, in the dear one.
+
+        Parameters
+        ----------
+        figure : callable
+        """
+        return pseudo_values(self.sums, lambda sums: figure(self._means(sums)))
+
+    @property
+    def _counted(self) -> int:
+        """Where the number of samples stands that count."""
+        return 1 + self.terms if self.sums.shape[1] > 1 + self.terms else 0
+
+    def _cheap(self, sums: Floats) -> Floats:
+        means: Floats = sums[..., 1 : 1 + self.terms] / sums[..., :1]
+        return means
+
+    def _means(self, sums: Floats) -> Floats:
+        if not self._counted:
+            return self._cheap(sums)
+        paired = sums[..., self._counted + 1 :] / sums[..., self._counted, None]
+        x, y, squares, products = np.split(paired, 4, axis=-1)
+        varies = squares - x**2 > CONSTANT * squares
+        alpha = np.where(varies, (products - x * y) / np.where(varies, squares - x**2, 1.0), 1.0)
+        return y + alpha * (self._cheap(sums) - x)
+
+
+def term_means(cheap: Floats, dear: Floats | None = None) -> TermMeans:
+    """Means of terms; of two tiers, those in the dear one.
+
+    Parameters
+    ----------
+    cheap : (N, q) array, of samples in the order of a design's block; NaN where a run failed
+    dear : (N, q) array, optional, of the same rigs; NaN where there is none
+    """
+    kept: Mask = np.asarray(np.isfinite(cheap).all(axis=1))
+    samples = [kept[:, None], _zeroed(cheap, kept)]
+    if dear is not None:
+        both: Mask = np.asarray(kept & np.isfinite(dear).all(axis=1))
+        x, y = _zeroed(cheap, both), _zeroed(dear, both)
+        samples += [both[:, None], x, y, x**2, x * y]
+    return TermMeans(set_sums(np.hstack(samples)), cheap.shape[1])
+
+
+def _zeroed(terms: Floats, kept: Mask) -> Floats:
+    return np.where(kept[:, None], terms, 0.0)
+
+
+# Sobol' indices of each output and group of causes, and the moments of its error.
+
 
 MOST_FAILED = 0.05
 """Share of failed runs beyond which a note says so: the 5 % of errors that a 95 % range leaves out

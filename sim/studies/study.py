@@ -14,48 +14,46 @@ from lscan.errors import InputError
 from lscan.files.disk import make_folder
 from lscan.records import Floats, Progress
 from sim.scene import target_pose
-from sim.studies.budget import budgets_of, error_maps, scatters_of
-from sim.studies.designrun import design_problem, design_runs, search_designs
-from sim.studies.indices import Indices, next_base, sobol_indices
-from sim.studies.prepared import Prepared
-from sim.studies.problem import Output, columns
-from sim.studies.records import (
+from sim.studies.budget import (
     IndexConvergence,
     OutputBudget,
     StudyResults,
     StudyRuns,
     TierRow,
     Tolerances,
+    budgets_of,
+    error_maps,
+    scatters_of,
 )
-from sim.studies.results import write_results
-from sim.studies.runner import require_at_most
-from sim.studies.running import RigSource, StudyOptions, StudyRunning, prepared_of
-from sim.studies.sampling import BASE, Design, alone, make_design
-from sim.studies.states import check_keys
-from sim.studies.store import (
+from sim.studies.design.run import design_problem, design_runs, search_designs
+from sim.studies.indices import Indices, next_base, sobol_indices
+from sim.studies.problem import BASE, Design, Output, alone, columns, make_design
+from sim.studies.results import joined, runs_of, write_results
+from sim.studies.rig.prepared import Prepared
+from sim.studies.rig.states import check_keys
+from sim.studies.run.executor import require_at_most
+from sim.studies.run.running import RigSource, StudyOptions, StudyRunning, prepared_of
+from sim.studies.run.store import (
     Results,
     ResultStore,
     distinct,
+    identity_of,
     open_store,
     require_same_document,
 )
 from sim.studies.studyfile import Study, Tier, load_study
-from sim.studies.studyruns import joined, runs_of
 from sim.studies.tiers import (
+    MOST_RUNS,
     alone_squares,
+    bounded_output,
+    find_tolerances,
     in_rendered_physics,
     padded,
     rendered_design,
-    tier_rows,
-)
-from sim.studies.tolerances import (
-    MOST_RUNS,
-    bounded_output,
-    find_tolerances,
     sizes_of,
+    tier_rows,
     with_spreads,
 )
-from sim.studies.worker import identity_of
 
 PREPARED, RUNS, RENDERED_RUNS, TIGHTER = "prepared.npz", "runs", "runs-rendered", "tolerances"
 COUNTED = ("height",)

@@ -3,7 +3,7 @@
 from functools import cache
 
 from lscan.config.documents import Document
-from sim.studies.prepared import Prepared
+from sim.studies.rig.prepared import Prepared
 from sim.studies.studyfile import Study, study_of
 from sim.validation.study.twelve import assumed
 

@@ -10,21 +10,23 @@ import numpy as np
 from scipy.stats import norm
 
 from lscan.records import Floats
-from sim.studies.budget import Indices, budgets_of, error_maps, scatters_of
-from sim.studies.intervals import Bounded
-from sim.studies.problem import Output, columns, width
-from sim.studies.records import (
+from sim.studies.budget import (
     CauseFacts,
     DesignTrial,
     IndexConvergence,
+    Indices,
     StudyResults,
     StudyRuns,
     TierRow,
     Tolerance,
     Tolerances,
     When,
+    budgets_of,
+    error_maps,
+    scatters_of,
 )
-from sim.studies.sampling import ALL, BASE, alone
+from sim.studies.indices import Bounded
+from sim.studies.problem import ALL, BASE, Output, alone, columns, width
 
 OUTPUTS = (Output("height", "mm", 80), Output("height.after", "mm", 80), Output("yaw", "deg"))
 XY_MM = np.stack(np.meshgrid(np.linspace(0, 150, 10), np.linspace(0, 110, 8)), axis=-1)

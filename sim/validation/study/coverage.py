@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lscan.records import Mask
-from sim.studies.indices import sobol_indices
-from sim.studies.intervals import Bounded
-from sim.studies.sampling import AGAIN, ALL, SETS, make_design, mixed
+from sim.studies.indices import Bounded, sobol_indices
+from sim.studies.problem import AGAIN, ALL, SETS, make_design, mixed
 from sim.studies.testfunctions import ClosedForm, ishigami, nearly_linear, sobol_g
 from sim.studies.tiers import beginnings, padded
 from sim.validation.accuracy.intervals import band_miss_percent

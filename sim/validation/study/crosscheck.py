@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from lscan.records import Floats
-from sim.studies.geometric import GeometricRig
-from sim.studies.prepared import prepare
 from sim.studies.problem import AFTER, NOMINAL, columns
-from sim.studies.rendered import RenderedRig
+from sim.studies.rig.evaluation import GeometricRig, RenderedRig
+from sim.studies.rig.prepared import prepare
 from sim.studies.studyfile import Looked, Study, load_study
 from sim.validation.rows import Row, row
 

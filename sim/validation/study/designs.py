@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from lscan.errors import MeasurementError
-from sim.studies.designrun import RIGS
-from sim.studies.running import StudyOptions
+from sim.studies.design.run import RIGS
+from sim.studies.run.running import StudyOptions
 from sim.studies.study import run_study
 from sim.validation.rows import Row, row
 

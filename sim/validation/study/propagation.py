@@ -7,9 +7,8 @@ from scipy.special import ndtr
 
 from lscan.config.documents import Document
 from lscan.records import Floats
-from sim.studies.geometric import GeometricRig
-from sim.studies.problem import AFTER, columns
-from sim.studies.sampling import ALL, make_design
+from sim.studies.problem import AFTER, ALL, columns, make_design
+from sim.studies.rig.evaluation import GeometricRig
 from sim.validation.rows import Row, row
 from sim.validation.study.twelve import CAUSES, assumed, scan_places, twelve
 

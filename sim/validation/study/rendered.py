@@ -6,7 +6,7 @@ from typing import Final
 
 from lscan.config.documents import Document, write_toml
 from lscan.errors import MeasurementError
-from sim.studies.running import StudyOptions
+from sim.studies.run.running import StudyOptions
 from sim.studies.study import run_study
 from sim.validation.rows import Row, row
 from sim.validation.study.twelve import CAUSES

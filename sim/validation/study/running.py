@@ -20,10 +20,8 @@ import psutil
 
 from lscan.files.disk import read_text
 from lscan.records import Floats
-from sim.studies.cluster import open_client
-from sim.studies.runner import run_rows
-from sim.studies.store import Results, open_store
-from sim.studies.worker import identity_of
+from sim.studies.run.executor import open_client, run_rows
+from sim.studies.run.store import Results, identity_of, open_store
 from sim.validation.rows import Row, row
 from sim.validation.study.stubs import StubSource, started_study, stub_rows, stub_study
 

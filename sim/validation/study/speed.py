@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from lscan.records import Floats
-from sim.studies.cluster import open_client
-from sim.studies.runner import run_rows
-from sim.studies.store import open_store
-from sim.studies.worker import identity_of
+from sim.studies.run.executor import open_client, run_rows
+from sim.studies.run.store import identity_of, open_store
 from sim.validation.rows import Row, row
 from sim.validation.study.twelve import assumed, scan_places, source_of, twelve
 

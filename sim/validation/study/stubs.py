@@ -17,9 +17,8 @@ import sim
 from lscan.errors import LscanError, MeasurementError
 from lscan.records import Floats
 from sim.studies.problem import Output
-from sim.studies.runner import run_rows
-from sim.studies.store import Results, open_store
-from sim.studies.worker import identity_of
+from sim.studies.run.executor import run_rows
+from sim.studies.run.store import Results, identity_of, open_store
 
 CAUSES = ("first", "second", "third")
 

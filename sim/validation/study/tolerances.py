@@ -3,9 +3,9 @@
 from pathlib import Path
 
 from lscan.errors import MeasurementError
-from sim.studies.running import StudyOptions
+from sim.studies.run.running import StudyOptions
 from sim.studies.study import run_study
-from sim.studies.tolerances import RIGS
+from sim.studies.tiers import RIGS
 from sim.validation.accuracy.intervals import band_miss_percent
 from sim.validation.rows import Row, row
 

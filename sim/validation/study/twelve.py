@@ -10,9 +10,9 @@ from lscan.config.documents import Document
 from lscan.config.rig import parse_rig
 from lscan.records import select
 from sim.scene import Scene, load_scene, scene_of
-from sim.studies.places import ScanPlaces, places_of
-from sim.studies.prepared import Prepared, on_board, stated
-from sim.studies.running import RigSource
+from sim.studies.rig.prepared import Prepared, on_board, stated
+from sim.studies.rig.states import ScanPlaces, places_of
+from sim.studies.run.running import RigSource
 from sim.studies.studyfile import Study, study_of
 from sim.truth import board_truth
 

@@ -13,18 +13,18 @@ from study_cases import known_of
 from study_examples import study_results
 from typer.testing import CliRunner
 
-import sim.studies.running
+import sim.studies.run.running
 from lscan.cli.console import BAD_INPUT, STOPPED, run_command_line
 from lscan.config.scenes import spec_names
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.cli.app import app
 from sim.studies import concavity
-from sim.studies.catalogue import load_catalogue
 from sim.studies.concavity import ConcavityCase, ConcavityErrors
-from sim.studies.geometric import GeometricRig
+from sim.studies.design.catalogue import load_catalogue
 from sim.studies.results import load_results
-from sim.studies.states import check_keys
+from sim.studies.rig.evaluation import GeometricRig
+from sim.studies.rig.states import check_keys
 from sim.studies.studyfile import Study, load_study
 
 pytestmark = pytest.mark.xdist_group("study")  # one worker: they share a fixture
@@ -57,7 +57,7 @@ def not_rendered() -> Iterator[None]:
         return known_of(study.file.calibrate, study.file.scan)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sim.studies.running, "prepare", known)
+        patch.setattr(sim.studies.run.running, "prepare", known)
         yield
 
 

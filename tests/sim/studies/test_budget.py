@@ -16,10 +16,8 @@ from study_examples import (
     true_square,
 )
 
-from sim.studies.budget import budgets_of, error_maps, errors_in, scatters_of
-from sim.studies.problem import Output
-from sim.studies.records import CauseFacts, StudyRuns
-from sim.studies.sampling import ALL, BASE, alone
+from sim.studies.budget import CauseFacts, StudyRuns, budgets_of, error_maps, errors_in, scatters_of
+from sim.studies.problem import ALL, BASE, Output, alone
 
 ALONE_RUNS, MIXED = 400, 2048
 FOUR_SIGMAS = 4.0  # 60 figures are compared: one in 15,000 beyond by chance is one in 250 in all

@@ -12,8 +12,8 @@ from lscan.config.documents import Document, write_toml
 from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from sim.scene import scene_of
-from sim.studies.catalogue import Catalogue, load_catalogue
-from sim.studies.design import RigDesign, diffraction_um, document_of
+from sim.studies.design.catalogue import Catalogue, load_catalogue
+from sim.studies.design.rig import RigDesign, diffraction_um, document_of
 
 SHIPPED = SCENES / "studies" / "catalogue.toml"
 PRICE = {"eur": 1.0, "year": 2020, "standing": "recalled"}

@@ -7,21 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sim.studies.running as running_module
+import sim.studies.run.running as running_module
 from lscan.errors import InputError
-from sim.studies.cluster import in_order, open_client
-from sim.studies.designerror import (
+from sim.studies.budget import StudyResults
+from sim.studies.design.error import (
     AboveBounds,
     PredictedError,
     above_bounds,
     marks_sigma_px,
     predicted,
 )
-from sim.studies.designrun import DESIGNS, design_problem
-from sim.studies.geometric import GeometricRig
-from sim.studies.records import StudyResults
+from sim.studies.design.run import DESIGNS, design_problem
 from sim.studies.results import load_results
-from sim.studies.running import StudyOptions
+from sim.studies.rig.evaluation import GeometricRig
+from sim.studies.run.executor import in_order, open_client
+from sim.studies.run.running import StudyOptions
 from sim.studies.study import run_study
 from sim.studies.studyfile import load_study
 

@@ -16,9 +16,9 @@ from lscan.config.rig import load_rig
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import Head
-from sim.studies.catalogue import Catalogue, load_catalogue
-from sim.studies.design import document_of, exposed
-from sim.studies.designsearch import (
+from sim.studies.design.catalogue import Catalogue, DesignSection, load_catalogue
+from sim.studies.design.rig import aim_mm, document_of, exposed
+from sim.studies.design.search import (
     DesignProblem,
     Judged,
     Parameters,
@@ -27,8 +27,6 @@ from sim.studies.designsearch import (
     front_of,
     search,
 )
-from sim.studies.designsection import DesignSection
-from sim.studies.fieldofview import aim_mm
 
 pytestmark = pytest.mark.xdist_group("design_search")  # one worker: they share a fixture
 

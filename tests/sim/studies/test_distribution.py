@@ -7,7 +7,7 @@ from scipy import stats
 
 from lscan.config.documents import Document, check
 from lscan.errors import InputError
-from sim.studies.distribution import Distribution
+from sim.studies.studyfile import Distribution
 
 STATED: list[Document] = [
     {"fixed": 3.0},

@@ -6,7 +6,7 @@ import pytest
 from lscan.config.documents import merge
 from lscan.config.rig import load_rig, parse_rig
 from sim.scene import Scene, scene_of
-from sim.studies.fieldofview import aim_mm, measured_mm
+from sim.studies.design.rig import aim_mm, measured_mm
 from sim.water import water_optics
 
 PLAIN = {"lens": {"k1": 0.0, "k2": 0.0}, "laser": {"fan_half_angle_deg": 60.0}}

@@ -12,11 +12,9 @@ from lscan.config.rig import parse_rig
 from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import into_head, scene_of
-from sim.studies.errors import ErrorFrame
-from sim.studies.geometric import GeometricRig
-from sim.studies.places import WAVE
 from sim.studies.problem import NOMINAL, columns
-from sim.studies.states import check_keys, states_of
+from sim.studies.rig.evaluation import ErrorFrame, GeometricRig
+from sim.studies.rig.states import WAVE, check_keys, states_of
 from sim.truth import project
 from sim.validation.study.twelve import SENSOR_PX, SPECKLE_PX, assumed
 

@@ -8,10 +8,8 @@ from hypothesis import given, settings, strategies as st
 from SALib.analyze import sobol
 
 from lscan.records import Floats
-from sim.studies.indices import Indices, moments, next_base, sobol_indices
-from sim.studies.intervals import Bounded
-from sim.studies.problem import Output
-from sim.studies.sampling import AGAIN, ALL, SETS, Design, alone, make_design, mixed
+from sim.studies.indices import Bounded, Indices, moments, next_base, sobol_indices
+from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed
 from sim.studies.testfunctions import ClosedForm, ishigami, sobol_g
 
 SCALAR = (Output("error", "mm"),)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sim.scene import Laser
-from sim.studies.lasersafety import accessible_mw, laser_class
+from sim.studies.design.catalogue import accessible_mw, laser_class
 
 SPAN_DEG = 2 * degrees(atan(3.5 / 100))  # of 7 mm at 100 mm: 4.01 degrees
 

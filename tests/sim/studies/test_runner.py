@@ -21,12 +21,25 @@ from distributed.core import connect
 
 from lscan.errors import InputError, LscanError
 from lscan.records import Floats
-from sim.studies.batches import TARGET_S, Batches
-from sim.studies.cluster import KILLED, in_order, open_client
-from sim.studies.runner import cost_estimate, run_rows
-from sim.studies.running import prepared_of
-from sim.studies.store import OK, Results, ResultStore, distinct, open_store
-from sim.studies.worker import identity_of, package_versions
+from sim.studies.run.executor import (
+    KILLED,
+    TARGET_S,
+    Batches,
+    cost_estimate,
+    in_order,
+    open_client,
+    run_rows,
+)
+from sim.studies.run.running import prepared_of
+from sim.studies.run.store import (
+    OK,
+    Results,
+    ResultStore,
+    distinct,
+    identity_of,
+    open_store,
+    package_versions,
+)
 from sim.validation.study.running import (
     ROWS,
     evaluated,
@@ -181,7 +194,7 @@ def test_what_was_prepared_is_kept_for_the_same_files_and_version_alone(
         made.append(f"{len(made)}".encode())
         return SimpleNamespace(packed=lambda: made[-1])
 
-    monkeypatch.setattr("sim.studies.running.prepare", prepared)
+    monkeypatch.setattr("sim.studies.run.running.prepare", prepared)
     scene = SimpleNamespace(document={"target": {"file": str(tmp_path / "mesh.stl")}})
     study: Any = SimpleNamespace(calibrate=scene, scan=scene, file=SimpleNamespace(places=()))
 
@@ -192,7 +205,7 @@ def test_what_was_prepared_is_kept_for_the_same_files_and_version_alone(
     assert [found(), found()] == [b"0", b"0"]
     (tmp_path / "mesh.stl").write_bytes(b"another")
     assert [found(), found()] == [b"1", b"1"]
-    monkeypatch.setattr("sim.studies.running.__version__", "99.0")
+    monkeypatch.setattr("sim.studies.run.running.__version__", "99.0")
     assert found() == b"2"
 
 
@@ -342,7 +355,7 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
     name: str,
 ) -> None:
     newer = {**package_versions(), name: "99.0"}
-    monkeypatch.setattr("sim.studies.cluster.package_versions", lambda: newer)
+    monkeypatch.setattr("sim.studies.run.executor.package_versions", lambda: newer)
     (address,) = in_threads.nthreads()
     told = f"the worker at {address}: has another version of {name} .got .*; allowed: 99.0, as here"
     with opened(source, tmp_path) as store, pytest.raises(InputError, match=told):
@@ -353,7 +366,7 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
 def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
     in_threads: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.studies.cluster.__version__", "99.0")
+    monkeypatch.setattr("sim.studies.run.executor.__version__", "99.0")
     told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
     with (
         pytest.raises(InputError, match=told),
@@ -403,7 +416,7 @@ def test_a_worker_with_another_file_of_the_same_name_is_refused(
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim.studies.cluster.CONNECT_S", 0.5)
+    monkeypatch.setattr("sim.studies.run.executor.CONNECT_S", 0.5)
     with (
         pytest.raises(InputError, match="--scheduler: no scheduler answers"),
         open_client(scheduler="tcp://127.0.0.1:1"),

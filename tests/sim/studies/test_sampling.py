@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
-from sim.studies.sampling import (
+from sim.studies.problem import (
     AGAIN,
     ALL,
     BASE,

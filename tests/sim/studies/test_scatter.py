@@ -10,10 +10,16 @@ from lscan.stripe.scatter import centre_bound_px
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.scene.varying import number_at, with_numbers
-from sim.studies.geometric import GeometricRig
-from sim.studies.prepared import centres_in, exposed
-from sim.studies.scatter import centre_variance_px2, depends_on_light, line_bounds_px, lines_at
-from sim.studies.states import states_of
+from sim.studies.rig.evaluation import GeometricRig
+from sim.studies.rig.prepared import (
+    centre_variance_px2,
+    centres_in,
+    depends_on_light,
+    exposed,
+    line_bounds_px,
+    lines_at,
+)
+from sim.studies.rig.states import states_of
 
 NOISE = {"key": "sensor.noise", "when": "noise"}
 EXPOSURES = 16

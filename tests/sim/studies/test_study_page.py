@@ -11,10 +11,9 @@ from chromium import Chromium
 from playwright.sync_api import Page
 from study_examples import GROUPS, REASONS, strange_results, study_results
 
-from sim.studies.intervals import Bounded
-from sim.studies.page import figure, headline, kept, render_page, share
-from sim.studies.plots import front_plot, label
-from sim.studies.records import CauseBudget, OutputBudget, StudyResults
+from sim.studies.budget import CauseBudget, OutputBudget, StudyResults
+from sim.studies.indices import Bounded
+from sim.studies.page import figure, front_plot, headline, kept, label, render_page, share
 from sim.testing.browser import wait_for
 
 WITHOUT_END = {"meta", "link", "br", "img", "input"}

@@ -8,20 +8,28 @@ import numpy as np
 import pytest
 from study_cases import known_of
 
-import sim.studies.running as running_module
+import sim.studies.run.running as running_module
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import load_scene
-from sim.studies.geometric import GeometricRig
-from sim.studies.indices import Indices, moments, sobol_indices
-from sim.studies.intervals import set_sums
-from sim.studies.multifidelity import TermMeans, term_means
-from sim.studies.prepared import Prepared, prepare
-from sim.studies.problem import NOMINAL, Output, columns
-from sim.studies.rendered import RenderedRig
+from sim.studies.indices import Indices, TermMeans, moments, set_sums, sobol_indices, term_means
+from sim.studies.problem import (
+    AGAIN,
+    ALL,
+    BASE,
+    NOMINAL,
+    SETS,
+    Design,
+    Output,
+    alone,
+    columns,
+    make_design,
+    mixed,
+)
 from sim.studies.results import load_results
-from sim.studies.running import StudyOptions
-from sim.studies.sampling import AGAIN, ALL, BASE, SETS, Design, alone, make_design, mixed
+from sim.studies.rig.evaluation import GeometricRig, RenderedRig
+from sim.studies.rig.prepared import Prepared, prepare
+from sim.studies.run.running import StudyOptions
 from sim.studies.study import RENDERED_RUNS, run_study
 from sim.studies.studyfile import Study, study_of
 from sim.studies.testfunctions import ClosedForm, ishigami, nearly_linear

@@ -13,16 +13,17 @@ from study_cases import known_of, study_with
 from lscan.config.documents import Document, check
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.studies import runner, running, tolerances as module
+from sim.studies import tiers as module
+from sim.studies.budget import Tolerances
 from sim.studies.page import kept
 from sim.studies.problem import Output
-from sim.studies.records import Tolerances
 from sim.studies.results import load_results
-from sim.studies.running import StudyOptions
-from sim.studies.store import Results
+from sim.studies.run import executor as runner, running
+from sim.studies.run.running import StudyOptions
+from sim.studies.run.store import Results
 from sim.studies.study import run_study
 from sim.studies.studyfile import Bound, StudyFile
-from sim.studies.tolerances import (
+from sim.studies.tiers import (
     CLOSE,
     FARTHEST,
     STEPS,

@@ -7,10 +7,10 @@ import pytest
 from places import SCENES
 
 from lscan.records import Floats
-from sim.studies.geometric import GeometricRig
-from sim.studies.prepared import Prepared
 from sim.studies.problem import NOMINAL, columns
-from sim.studies.states import states_of
+from sim.studies.rig.evaluation import GeometricRig
+from sim.studies.rig.prepared import Prepared
+from sim.studies.rig.states import states_of
 from sim.studies.studyfile import Looked, Study, load_study
 from sim.validation.study import crosscheck
 from sim.validation.study.crosscheck import STAYS, TRIAL_MM, as_in_the_trial, looked_at

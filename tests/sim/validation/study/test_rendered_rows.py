@@ -7,7 +7,7 @@ import pytest
 from study_examples import study_results
 
 from lscan.errors import MeasurementError
-from sim.studies.states import check_keys
+from sim.studies.rig.states import check_keys
 from sim.studies.studyfile import load_study
 from sim.validation.study import rendered, run
 

@@ -13,16 +13,15 @@ from lscan.files.disk import read_bytes, write_atomically
 from lscan.records import Floats, Progress
 from lscan.version import __version__
 from sim.scene import Scene, scene_of
-from sim.studies.geometric import GeometricRig
-from sim.studies.prepared import MOST_PREPARED_BYTES, Prepared, prepare
-from sim.studies.rendered import RenderedRig
-from sim.studies.runner import cost_estimate, run_rows
-from sim.studies.store import Results, ResultStore, open_store
+from sim.studies.rig.evaluation import GeometricRig, RenderedRig
+from sim.studies.rig.prepared import MOST_PREPARED_BYTES, Prepared, prepare
+from sim.studies.run.executor import cost_estimate, run_rows
+from sim.studies.run.store import Results, ResultStore, identity_of, open_store
 from sim.studies.studyfile import Study, Tier, study_of
-from sim.studies.worker import identity_of
 
 if TYPE_CHECKING:
     from distributed import Client
+
 
 AT_MOST = 20_000
 """Runs of a study that nobody has to agree to: ten minutes of the geometric tier."""
@@ -131,7 +130,7 @@ class StudyRunning:
 
     def workers(self) -> "Client | None":
         """The cluster's client, which is started once a study; None: all in this process."""
-        from sim.studies.cluster import open_client  # takes a second to import
+        from sim.studies.run.executor import open_client  # takes a second to import
 
         workers = self.options.workers
         if workers != "none" and self.client is None:

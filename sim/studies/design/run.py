@@ -12,9 +12,10 @@ from lscan.config.documents import Document, by_content, named_files
 from lscan.config.scenes import included_file
 from lscan.errors import LscanError
 from lscan.files.disk import json_text, make_folder
-from sim.studies.catalogue import load_catalogue
-from sim.studies.designerror import PredictedError, above_bounds, design_rows, height_squares
-from sim.studies.designsearch import (
+from sim.studies.budget import DesignTrial
+from sim.studies.design.catalogue import DesignSection, load_catalogue
+from sim.studies.design.error import PredictedError, above_bounds, design_rows, height_squares
+from sim.studies.design.search import (
     DesignProblem,
     Judge,
     Judged,
@@ -24,15 +25,12 @@ from sim.studies.designsearch import (
     front_of,
     search,
 )
-from sim.studies.designsection import DesignSection
-from sim.studies.intervals import Bounded, interval, pseudo_values
-from sim.studies.prepared import Prepared
-from sim.studies.records import DesignTrial
-from sim.studies.running import RigSource, StudyRunning, prepared_of
-from sim.studies.sampling import SETS
-from sim.studies.store import OK, open_store
+from sim.studies.indices import Bounded, interval, pseudo_values
+from sim.studies.problem import SETS
+from sim.studies.rig.prepared import Prepared
+from sim.studies.run.running import RigSource, StudyRunning, prepared_of
+from sim.studies.run.store import OK, identity_of, open_store
 from sim.studies.studyfile import Study
-from sim.studies.worker import identity_of
 
 DESIGNS, WINNERS = "designs.json", "winners"
 RIGS = 4  # of a design of the front, rendered and predicted alike: what is compared is their ratio
@@ -181,7 +179,7 @@ def _run(running: StudyRunning) -> Run:
     client = running.workers()
     if client is None:
         return map
-    from sim.studies.cluster import in_order
+    from sim.studies.run.executor import in_order
 
     study = running.study
     files = named_files(study.calibrate.document) | named_files(study.scan.document)

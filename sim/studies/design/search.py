@@ -21,11 +21,16 @@ from lscan.errors import InputError, LscanError
 from lscan.files.disk import json_text, read_json, write_json
 from lscan.records import Floats, Mask, Progress
 from sim.scene import scene_of
-from sim.studies.catalogue import Catalogue
-from sim.studies.design import RigDesign, document_of, exposed
-from sim.studies.designsection import DesignSection, Figure, UniformNumber, ordinal
-from sim.studies.fieldofview import measured_mm
-from sim.studies.lasersafety import LaserClass, laser_class
+from sim.studies.design.catalogue import (
+    Catalogue,
+    DesignSection,
+    Figure,
+    LaserClass,
+    UniformNumber,
+    laser_class,
+    ordinal,
+)
+from sim.studies.design.rig import RigDesign, document_of, exposed, measured_mm
 
 Parameters = dict[str, str | float]
 NOT_ASSESSED_MM = 1e6

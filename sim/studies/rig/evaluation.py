@@ -8,27 +8,128 @@ track.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
+from lscan.board import read_board
 from lscan.calibration.calibrate import screened
 from lscan.calibration.check import carried
 from lscan.calibration.planemap import NamedSolver, find_solver, joined_marks, with_marks
+from lscan.errors import MeasurementError
 from lscan.records import BoardReading, Floats, Status, select
+from sim.render.tank import Tank
 from sim.scene import Pose, Scene, at_moment, into_world
 from sim.scene.file import is_changing
-from sim.studies.errors import ErrorFrame
-from sim.studies.places import PlacesInState, ScanPlaces, height_above, lit_points
-from sim.studies.prepared import Prepared, located
 from sim.studies.problem import AFTER, Output
-from sim.studies.scatter import depends_on_light, line_bounds_px, lines_at
-from sim.studies.states import RigStates, states_of
+from sim.studies.rig.prepared import (
+    SENSOR,
+    SPECKLE,
+    Prepared,
+    centres_in,
+    depends_on_light,
+    exposed,
+    line_bounds_px,
+    lines_at,
+    located,
+    stated,
+)
+from sim.studies.rig.states import (
+    PlacesInState,
+    RigStates,
+    ScanPlaces,
+    height_above,
+    lit_points,
+    states_of,
+)
 from sim.studies.studyfile import Study
 from sim.truth import StripeTruth, board_truth
 from sim.truth.camera import TrueCamera, camera_of, image, rays_to
+
+# From where points were measured and where they are to the errors that a study looks at.
+
+
+MOST_LOST = 0.2  # of the places: beyond, a rig is no rig to speak of
+PER_MM = 100.0  # of a length whose error is given
+WITHIN = 0.99  # of the places of a scan, as reports state it of slices
+
+
+@dataclass(frozen=True)
+class ErrorFrame:
+    """Where the P places of a scan lie, and what is fitted to their errors.
+
+    Attributes
+    ----------
+    world_mm : (P, 3) array, mm, world frame, as the rig ought to be
+    """
+
+    world_mm: Floats
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """What ``errors_of`` gives, in this order."""
+        count = len(self.world_mm)
+        return (
+            Output("height", "mm", count),
+            Output("levelled", "mm", count),
+            Output("levelled-rms", "mm"),
+            Output("levelled-99", "mm"),
+            Output("level", "mm"),
+            Output("tilt-across", "deg"),
+            Output("tilt-along", "deg"),
+            Output("length-across", f"mm per {PER_MM:g} mm"),
+            Output("length-along", f"mm per {PER_MM:g} mm"),
+            Output("turn", "deg"),
+        )
+
+    def errors_of(self, measured_mm: Floats, true_mm: Floats, height_mm: Floats) -> Floats:
+        """(K,) errors, measured less true.
+
+        height: of each place, above the true surface beneath where it was measured.  levelled: the
+        same less the plane that fits it best, whose height in the middle of all places is level,
+        and whose slopes across the track and along it are tilt-across and tilt-along.
+        levelled-rms, levelled-99: of one scan, the rms of levelled, and what 99 % of the places
+        keep within.
+        length-across, length-along: of 100 mm.  turn: of what was measured, about the vertical.
+
+        Parameters
+        ----------
+        measured_mm, true_mm : (P, 3) array, mm, world frame; NaN where the map has no value
+        height_mm : (P,) array, mm, of ``measured_mm`` above the surface
+
+        Raises
+        ------
+        MeasurementError
+            More than a fifth of the places were lost.
+        """
+        found = np.isfinite(height_mm)
+        lost = 1 - np.mean(found)
+        if lost > MOST_LOST:
+            raise MeasurementError(f"{100 * lost:.0f} % of the places lie beside the board")
+        middle = self.world_mm.mean(axis=0)
+        across, along = (self.world_mm - middle)[:, :2].T
+        plane = np.column_stack([np.ones(len(across)), across, along])
+        off = (measured_mm - true_mm)[:, :2]
+        fitted = np.column_stack([height_mm, off])
+        if not found.all():
+            # A place that was lost is given what its neighbours' plane says: it adds nothing.
+            fit = np.linalg.lstsq(plane[found], fitted[found])[0]
+            fitted = np.where(found[:, np.newaxis], fitted, plane @ fit)
+        else:
+            fit = np.linalg.lstsq(plane, fitted)[0]
+        height, (of_height, of_x, of_y) = fitted[:, 0], fit.T
+        levelled = height - plane @ of_height
+        sizes = np.sqrt(np.mean(levelled**2)), np.quantile(np.abs(levelled), WITHIN)
+        slopes = np.degrees(np.arctan(of_height[1:]))
+        turn = np.degrees((of_y[1] - of_x[2]) / 2)
+        scalars = [*sizes, of_height[0], *slopes, PER_MM * of_x[1], PER_MM * of_y[2], turn]
+        return np.concatenate([height, levelled, scalars])
+
+
+# The geometric tier: a rig's errors without a picture.
+
 
 STILL = Pose(np.eye(3), np.zeros(3))
 BOARD, BOARD_ANEW = 2, 3  # streams of the numbers drawn for one rig, beside prepared.LINE
@@ -208,3 +309,77 @@ def seen_together(moments: Sequence[Scene], points_head: Sequence[Floats]) -> Fl
 def _same(one: TrueCamera, other: TrueCamera) -> bool:
     optics = [(camera.lens, camera.port, camera.water_index) for camera in (one, other)]
     return optics[0] == optics[1]
+
+
+# The rendered tier: a rig's errors with every picture rendered, exposed and read.
+#
+# The places are those of the geometric tier, moved along the line into the middles of the columns
+# that they show in, so that what differs between the tiers is what the pictures hold: what noise,
+# light and lens do to marks and line beyond what was found on the rig as it ought to be.
+
+
+STEP_RAD = 1e-4  # of a ray in the fan: a tenth of a pixel; the line is straight over that
+
+
+class RenderedRig(GeometricRig):
+    """The problem of a study in the rendered tier.
+
+    Parameters
+    ----------
+    study : Study
+    prepared : Prepared, its places, and what the rig corrects for
+    """
+
+    def _line(self, states: RigStates) -> tuple[Floats, Floats]:
+        places = self._in_columns(states.scan)
+        pixels, true_mm = self._true_line(states.scan, places)
+        found = self._found(states)
+        along = 1 - self._across
+        column = np.rint(pixels[:, along]).astype(int)
+        number = np.searchsorted(np.unique(places.frame), places.frame)
+        inside = (column >= 0) & (column < found.shape[1])
+        centre = np.where(inside, found[number, np.where(inside, column, 0)], np.nan)
+        pixels[:, self._across] = centre - self.prepared.corrected_px
+        return pixels, true_mm
+
+    def _in_columns(self, scan: Scene) -> ScanPlaces:
+        """The places, each moved along the line into the middle of the column it shows in."""
+        places, along = self.prepared.places, 1 - self._across
+        here = self._true_line(scan, places)[0][:, along]
+        beside = self._true_line(scan, replace(places, angle=places.angle + STEP_RAD))[0][:, along]
+        angle = places.angle + (np.rint(here) - here) * STEP_RAD / (beside - here)
+        return replace(places, angle=angle)
+
+    def _found(self, states: RigStates) -> Floats:
+        """(F, N) px where the line is found in the pictures that have places."""
+        scan, places = states.scan, self.prepared.places
+        tank = Tank(scan)
+        pictures = []
+        for frame in np.unique(places.frame):
+            part = select(places, places.frame == frame)
+            moment = at_moment(scan, int(frame), float(part.position_mm[0]))
+            tank.take(moment.scene)
+            layers = tank.render(moment.position_mm)
+            at_work = (SENSOR in states.seeds, SPECKLE in states.seeds)
+            seed = _mixed(states.seeds, int(frame))
+            pictures.append(exposed(moment.scene, layers, *at_work, seed))
+        return centres_in(scan, pictures)
+
+    def _reading(self, board: Scene, seeds: Mapping[str, int], stream: int) -> BoardReading:
+        layers = Tank(board).render(board.rig.plan.positions_mm()[0])
+        noises = (SENSOR in seeds, SPECKLE in seeds)
+        picture = exposed(board, layers, *noises, _mixed(seeds, -stream))
+        channel = board.rig.calibration.channel
+        reading = read_board(picture, board.board(), channel=channel)
+        if SENSOR in seeds:
+            return replace(reading, dots={}, rings={})
+        # Of a picture without noise a ruler's marks state a tenth of their uncertainty, the points
+        # hardly less: a map that weighs them so is no map of this instrument.
+        usual = joined_marks(self.prepared.reading)
+        return stated(reading, usual.sigma_px, usual.status)
+
+
+def _mixed(seeds: Mapping[str, int], picture: int) -> int:
+    """A seed of one picture's noise."""
+    stream = [seeds.get(SENSOR, 0), seeds.get(SPECKLE, 0), abs(picture), int(picture < 0)]
+    return int(np.random.SeedSequence(stream).generate_state(1)[0])

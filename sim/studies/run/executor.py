@@ -1,8 +1,8 @@
-"""Batches of rows on Dask's workers: processes of this machine, or those of any scheduler.
+"""Rows of a study evaluated: in this process, on a cluster of its own, or on any other.
 
-Whoever reaches a scheduler can have any code run by its workers.  Those of this machine that a
-study starts talk by TLS alone, with keys made for it that no other process has; another cluster
-is its owner's to guard.
+Which worker evaluates a row, in which batch and how often it is tried, changes no result.  A
+batch is synced to the store as soon as it arrives, so that what ends the study costs no more than
+the batches that were under way.
 """
 
 import logging
@@ -10,15 +10,15 @@ import multiprocessing
 import secrets
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
-from typing import TypeVar
+from typing import Literal, TypeVar
 
-import cryptography  # noqa: F401 - what temporary keys are made with; missing, it is named
 import dask
 import numpy as np
 from distributed import Client, Future, KilledWorker, LocalCluster, WorkerPlugin, as_completed
@@ -26,20 +26,226 @@ from distributed.comm import CommClosedError
 
 from lscan.acquisition.scan import cores, require_guarded_main
 from lscan.config.documents import named_files
+from lscan.devices.signals import on_stop_signals
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import disk_errors
-from lscan.records import Floats
+from lscan.records import Floats, Progress
 from lscan.version import __version__
 from sim.render.backend import THREADS
-from sim.studies.batches import Batches
-from sim.studies.store import Batch, Results
-from sim.studies.worker import (
+from sim.studies.run.store import (
+    Batch,
     InCommon,
     ProblemSource,
+    Results,
+    ResultStore,
     call_in_common,
+    distinct,
     evaluate_rows,
     package_versions,
+    problem_of,
 )
+
+# How many rows a worker is given at a time.
+
+
+TARGET_S = 0.7  # of a batch: a hundred times what handing it out costs, and little to lose
+GROWTH = 4  # at most, from one batch to the next: the first rows may be unlike the others
+
+
+class Batches:
+    """Rows in batches that take about ``TARGET_S`` each, as those before them tell.
+
+    Parameters
+    ----------
+    rows : (N, D) array
+    """
+
+    def __init__(self, rows: Floats) -> None:
+        self._rows, self._next, self._size = rows, 0, 1
+
+    def __iter__(self) -> Iterator[Floats]:
+        """Each next batch, of the size that is right when it is asked for."""
+        while self._next < len(self._rows):
+            begin, self._next = self._next, self._next + self._size
+            yield self._rows[begin : self._next]
+
+    def learn(self, count: int, seconds: float) -> None:
+        """Take into account what rows took.
+
+        Parameters
+        ----------
+        count : int, of rows
+        seconds : float, s
+        """
+        right = TARGET_S * count / max(seconds, 1e-9)
+        self._size = int(np.clip(right, 1, GROWTH * count))
+
+
+# Rows of a study evaluated: in this process, on a cluster of its own, or on any other.
+
+
+TRIED = 4  # rows that a cost estimate is made from
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class CostEstimate:
+    """What is left to do of a study.
+
+    Attributes
+    ----------
+    rows : int, that have no result yet
+    row_s : float, s, that one takes: the median of those tried; NaN where none was left to try
+    seconds : float, s, of the whole: each worker makes the problem first
+    """
+
+    rows: int
+    row_s: float
+    seconds: float
+
+
+def run_rows(
+    source: ProblemSource,
+    rows: Floats,
+    store: ResultStore,
+    workers: "int | Literal['none'] | Client" = 2,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+    at_most: int | None = None,
+) -> Results:
+    """The results of rows; those that the store has not are evaluated and kept there.
+
+    Parameters
+    ----------
+    source : ProblemSource
+    rows : (N, D) array, of a design
+    store : ResultStore, of the source's identity
+    workers : int, processes of this machine; "none": rows are evaluated in this process; or a
+        client as ``open_client`` gives it, of a cluster that is already there
+    scheduler : str or None, address of the scheduler of another cluster
+    progress : Progress or None, called with (done, all) distinct rows
+    at_most : int or None, the most distinct rows that the design may have
+
+    Raises
+    ------
+    InputError
+        The design has more rows, the disk refuses, or no scheduler answers.
+    LscanError
+        The scheduler is gone, or a worker cannot make the problem.
+    """
+    require_at_most(rows, at_most)
+    missing, every = store.missing(rows), len(distinct(rows))
+    done = every - len(missing)
+    logged: set[str] = set()
+    stream = _evaluated(source, missing, store, workers, scheduler)
+    stops: list[bool] = []
+
+    def stop() -> None:
+        stops.append(True)
+        raise KeyboardInterrupt
+
+    with closing(stream), on_stop_signals(stop):
+        for batches in stream:
+            _log_faults(batches, logged)
+            store.append(batches)
+            done += sum(len(batch.rows) for batch in batches)
+            if progress is not None:
+                progress(done, every)
+            if stops:  # raised in a destructor, of which Python tells nobody
+                raise KeyboardInterrupt
+    return store.results(rows)
+
+
+def require_at_most(rows: Floats, at_most: int | None, more: int = 0) -> None:
+    """Refuse a design that is larger than was agreed to.
+
+    Parameters
+    ----------
+    rows : (N, D) array
+    at_most : int or None, distinct rows
+    more : int, rows that others will be, at most
+
+    Raises
+    ------
+    InputError
+        It has more.
+    """
+    count = len(distinct(rows)) + more
+    if at_most is not None and count > at_most:
+        raise InputError("too many runs", where="--at-most", value=count, allowed=f"{at_most}")
+
+
+def cost_estimate(
+    source: ProblemSource, rows: Floats, store: ResultStore, workers: int = 1
+) -> CostEstimate:
+    """How long rows will take, from a few that are evaluated in this process, and kept.
+
+    Parameters
+    ----------
+    source : ProblemSource
+    rows : (N, D) array, of a design
+    store : ResultStore, of the source's identity
+    workers : int, how many will work at once
+    """
+    missing, sha256 = store.missing(rows), store.identity.sha256
+    if len(missing) == 0:
+        return CostEstimate(0, np.nan, 0.0)
+    began_s = time.perf_counter()
+    problem_of(source, sha256)
+    make_s = time.perf_counter() - began_s
+    # Spread over the design, whose first row may be the one without any cause; and one more
+    # beforehand, which may compile.
+    places = np.unique(np.linspace(0, len(missing) - 1, TRIED + 1).astype(int))
+    tried = [evaluate_rows(source, sha256, missing[[n]]) for n in places]
+    store.append(tried)
+    row_s = float(np.median([batch.seconds for batch in tried[1:] or tried]))
+    left = len(missing) - len(tried)
+    return CostEstimate(left, row_s, make_s + left * row_s / workers)
+
+
+def _evaluated(
+    source: ProblemSource,
+    rows: Floats,
+    store: ResultStore,
+    workers: "int | Literal['none'] | Client",
+    scheduler: str | None,
+) -> Generator[list[Batch], None, None]:
+    """Batches as they are finished, wherever they are."""
+    sha256 = store.identity.sha256
+    if len(rows) == 0:
+        return
+    if workers == "none":
+        batches = Batches(rows)
+        for batch in batches:
+            finished = evaluate_rows(source, sha256, batch)
+            batches.learn(len(batch), finished.seconds)
+            yield [finished]
+        return
+
+    if isinstance(workers, int):
+        with open_client(workers, scheduler) as client:
+            yield from on_client(client, source, sha256, rows)
+    else:
+        yield from on_client(workers, source, sha256, rows)
+
+
+def _log_faults(batches: list[Batch], logged: set[str]) -> None:
+    """Log each kind of fault of the program once, with its traceback."""
+    for batch in batches:
+        for status, trace in batch.traces.items():
+            kind = " ".join(status.split()[:2])
+            if kind not in logged:
+                _log.error("a row of the study failed: %s\n%s", status, trace)
+                logged.add(kind)
+
+
+# Batches of rows on Dask's workers: processes of this machine, or those of any scheduler.
+#
+# Whoever reaches a scheduler can have any code run by its workers.  Those of this machine that a
+# study starts talk by TLS alone, with keys made for it that no other process has; another cluster
+# is its owner's to guard.
+
 
 KILLED = "killed its worker"
 ATTEMPTS = 3  # that a worker's death ends, before a batch or a row is given up
@@ -69,7 +275,6 @@ _LOCAL: dict[str, object] = {
     "distributed.nanny.pre-spawn-environ.MALLOC_ARENA_MAX": 1,
 }
 
-_log = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 Found = TypeVar("Found")
