@@ -1,8 +1,7 @@
 """The command line ``lscan-sim``: thin faces over public functions, one module a topic."""
 
 from lscan.cli.console import before_any_command, command_line, run_program
-from sim.cli.dataset import dataset
-from sim.cli.demo import demo
+from sim.cli.dataset import dataset, suite
 from sim.cli.figures import (
     accuracy,
     bench,
@@ -13,10 +12,9 @@ from sim.cli.figures import (
     roughness,
     verify,
 )
-from sim.cli.pictures import render, truth, views
+from sim.cli.pictures import demo, render, truth, views
 from sim.cli.serve import serve
 from sim.cli.study import concavity, study
-from sim.cli.suite import suite
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
