@@ -16,9 +16,9 @@ from lscan.files.disk import long_work
 from lscan.records import Floats, Progress
 from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.water import PhaseTable
-from sim.water import Optics, planes, spread as rings
-from sim.water.planes import PlaneCounts
-from sim.water.spread import ANGLE_AXIS, Crossings, OnceScattered, Spread, tabulate
+from sim.water import Optics, planes
+from sim.water.planes import ANGLE_AXIS, PlaneCounts
+from sim.water.spread import EDGES_FROM, RINGS, Crossings, OnceScattered, Spread, tabulate
 from sim.water.tablecache import kept_arrays
 
 # Photons of a pencil beam in endless water, counted where they first cross spheres and planes.
@@ -55,9 +55,9 @@ def first_crossings(
     seed : int, of the random numbers
     progress : callable, optional, called with (done, all) after each batch
     """
-    walk = _ToSpheres(phase, albedo, depths, SUMS * 2 * len(depths) * rings.RINGS)
+    walk = _ToSpheres(phase, albedo, depths, SUMS * 2 * len(depths) * RINGS)
     sent = walk.send(photons, seed, progress)
-    sums = np.array(walk.sums).reshape(SUMS, 2, len(depths), rings.RINGS)
+    sums = np.array(walk.sums).reshape(SUMS, 2, len(depths), RINGS)
     return Crossings(sent, np.array(depths, dtype=float), *sums)
 
 
@@ -184,17 +184,17 @@ class _ToSpheres(_Walk):
     def count(self, at: _Crossing) -> None:
         up = dr.normalize(mi.Vector3f(at.place))
         sine = dr.hypot(up.x, up.y)
-        inner = rings.EDGES_FROM
+        inner = EDGES_FROM
         angle = dr.log(dr.maximum(dr.atan2(sine, up.z), inner / 2)) - log(inner)
-        ring = 1 + angle * ((rings.RINGS - 1) / log(np.pi / inner))
-        ring = mi.UInt32(dr.clip(ring, 0, rings.RINGS - 1))
+        ring = 1 + angle * ((RINGS - 1) / log(np.pi / inner))
+        ring = mi.UInt32(dr.clip(ring, 0, RINGS - 1))
         away = mi.Vector3f(up.x * up.z, up.y * up.z, -dr.square(sine)) / dr.maximum(sine, 1e-20)
         slope = dr.dot(at.towards, away) / dr.maximum(dr.dot(at.towards, up), GRAZING)
         often = dr.select(at.order > 1, mi.UInt32(self.surfaces), 0)
-        cell = (often + at.surface) * rings.RINGS + ring
+        cell = (often + at.surface) * RINGS + ring
         scored = at.active & (at.order > 0)
         for kind, value in enumerate((at.weight, dr.square(at.weight), at.weight * slope)):
-            start = kind * 2 * self.surfaces * rings.RINGS
+            start = kind * 2 * self.surfaces * RINGS
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(value), start + cell, scored)
 
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from lscan.records import Bytes
-from sim.scene import Sensor
 from sim.scene.instrument import FULL_SCALE_DN, Sensor
 
 # Random numbers of the standard normal distribution, in a third of the time of NumPy's.

@@ -19,7 +19,8 @@ from scipy.interpolate import LinearNDInterpolator
 from lscan.records import Floats, Mask
 from sim.render.firstorder.rays import HeadRays
 from sim.scene import Head, camera_pose
-from sim.water.spread import LogAxis, Spread
+from sim.water.planes import LogAxis
+from sim.water.spread import Spread
 
 # What the water scatters of a surface's light into a camera's pixel: a sum of Gaussians.
 #

@@ -23,7 +23,8 @@ from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.water import SpreadLookup
 from sim.scene import Laser, LaserLine
-from sim.water.spread import LogAxis, Spread
+from sim.water.planes import LogAxis
+from sim.water.spread import Spread
 
 # Angles: so many steps to either edge of the fan, where a node lies, and as many beyond.
 STEPS = 5

@@ -40,7 +40,7 @@ from sim.render.plugins.sheet import LaserSheet
 from sim.render.spreads import PHOTONS
 from sim.scene import Pose
 from sim.water import Optics
-from sim.water.spread import ANGLE_AXIS, between_nodes
+from sim.water.planes import ANGLE_AXIS, between_nodes
 from sim.water.tablecache import kept_arrays
 
 # Smooth positive fields from counts in cells.

@@ -17,8 +17,15 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats, opaque
-from sim.water.planes import COSINE_AXIS, HORIZON_ANGLES, horizon_depths
-from sim.water.spread import ANGLE_AXIS, FARTHEST_RAD, NEAREST_RAD, LogAxis, Spread
+from sim.water.planes import (
+    ANGLE_AXIS,
+    COSINE_AXIS,
+    HORIZON_ANGLES,
+    NEAREST_RAD,
+    LogAxis,
+    horizon_depths,
+)
+from sim.water.spread import FARTHEST_RAD, Spread
 
 # Cells, evenly spaced in log(1 + psi / FINEST): fine where an oceanic forward peak is, which
 # rises down to the least angles.  A cell is 0.4 % of its angle wide, so that the logarithm of

@@ -333,8 +333,8 @@ class DesignSection(Strict):
     catalogue_file: the parts; those that come with lscan if left out.  sights, lasers, windows,
     tracks: of them, by names or patterns such as "basler-*"; a sight is a camera with a lens of
     its own, or a "camera + lens".  numbers: free ones, by stand_off_mm, baseline_mm,
-    laser_height_mm, aim_z_mm (sim.studies.design.rig) or a dotted key of the scene: a list to choose
-    from, or a range.
+    laser_height_mm, aim_z_mm (sim.studies.design.rig) or a dotted key of the scene: a list to
+    choose from, or a range.
     minimise, maximise: the objectives.  limits: what a design has to keep to be on the front.
     trials: designs looked at, in generations of ``population``.  expose: the exposure follows the
     line's brightness; false keeps the scene's.  rendered: designs of the front that pictures are

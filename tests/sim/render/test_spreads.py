@@ -16,7 +16,8 @@ from sim.render.plugins.water import SpreadLookup
 from sim.render.spreads import photons_asked_for, spread_of
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
-from sim.water.spread import ANGLE_AXIS, Spread, between_nodes
+from sim.water.planes import ANGLE_AXIS, between_nodes
+from sim.water.spread import Spread
 
 PHOTONS = 2**14
 WATER = water_optics(Water(kind="harbor"), 650.0)
