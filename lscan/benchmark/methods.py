@@ -27,8 +27,8 @@ from lscan.config.rig import NoiseSection, OpticsSection, StripeSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Status, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.noise import stated_noise
-from lscan.stripe.scatter import centre_bound_px
+from lscan.stripe.fit import centre_bound_px
+from lscan.stripe.picture import stated_noise
 
 Result = TypeVar("Result")
 

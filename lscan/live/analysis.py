@@ -30,9 +30,8 @@ from lscan.records import (
     status_counts,
 )
 from lscan.stripe import extract_stripe
-from lscan.stripe.noise import constant_variance
 from lscan.stripe.peaks import crests, line_width
-from lscan.stripe.picture import PictureLines, lines_of
+from lscan.stripe.picture import PictureLines, constant_variance, lines_of
 
 # A plane map tabulated over the picture, for profiles at the rate of a live page.
 #

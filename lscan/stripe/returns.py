@@ -13,16 +13,18 @@ from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value, select
-from lscan.stripe.peaks import JUMP_PX, crests, medians
-from lscan.stripe.spots import (
+from lscan.stripe.peaks import (
     GAP,
     GROUND_PX,
+    JUMP_PX,
     REACH_PX,
     Relief,
     Spots,
     about,
     brightest,
+    crests,
     footprint,
+    medians,
     pairs,
     relief_of,
     runs_of,

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from lscan.config.rig import NoiseSection, StripeSection
-from lscan.stripe.noise import ROUNDING_VARIANCE
+from lscan.stripe.picture import ROUNDING_VARIANCE
 
 HEIGHT, WIDTH = 120, 640
 

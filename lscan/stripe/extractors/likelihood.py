@@ -1,20 +1,383 @@
 """The extractor that makes the most of the pixels: maximum likelihood of a Gaussian line."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
-from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, select
 from lscan.stripe.api import Picture, on_integers, together
-from lscan.stripe.extractors.survey import Survey, surveys, weak_precision
-from lscan.stripe.fit import CENTRE, LN_WIDTH, TILT, LineFit, LinePrior, LineSearch, fit_lines
-from lscan.stripe.noise import robust_variance
-from lscan.stripe.peaks import centred, clipped_near
+from lscan.stripe.fit import (
+    CENTRE,
+    LN_HEIGHT,
+    LN_WIDTH,
+    TILT,
+    LineFit,
+    LinePrior,
+    LineSearch,
+    LineWindows,
+    Scatter,
+    fit_lines,
+    parameters_of,
+    scatter_of,
+)
+from lscan.stripe.peaks import Peaks, all_windows, centred, clipped_near, nominal_peaks, windows
+from lscan.stripe.picture import Noise, constant_variance, robust_variance, sampled, stated_noise
 
-_NEIGHBOURS = 31
+# What every extractor that fits itself to the line must know first: place, width, noise.
+#
+# A sample of the columns is fitted with the full model (fit.py); the line's width and the
+# slope of the ground under it vary little from one column to the next, so a running median
+# over the sample holds for the columns between, and the residuals give the noise.
+
+
+_SAMPLE = 256
+_NEIGHBOURS = 9  # of the sample, whose median holds for the columns between them
+_FIRST_REACH_PX = 32
+_WIDTHS_PX = (0.4, 12.0)
+_NOISE_TURNS = 3  # of noise from residuals and residuals from noise, until they agree
+_WIDTH_DOUBT = 0.4  # of the logarithm of the first guess
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A quantity of K columns and how far a single column may lie from it.
+
+    Attributes
+    ----------
+    value : (K,) array, of the quantity
+    spread : float, one sigma
+    """
+
+    value: Floats
+    spread: float
+
+
+@dataclass(frozen=True)
+class Survey:
+    """The columns with a line in them, K, and what is known of that line.
+
+    Attributes
+    ----------
+    stripe : Stripe, statuses and peaks of all columns; no centres yet
+    peaks : Peaks, the pixel at which each line, smoothed over its width, is brightest
+    reach_px : (K,) array, px, how far from there the centre may lie: two widths, or the span if
+        that is more, all of them in the picture
+    view : LineWindows, px and DN, the pixels about the peaks
+    start : (K, 5) array, px and DN, a first guess of the line, as in crosssection.py
+    ln_width : Guess, of the logarithm of the width in px
+    tilt : Guess, DN/px, of the ground
+    noise : Noise, of the pixels
+    misfit : float, share of its light by which the line is no Gaussian; its part that is odd about
+        the centre (noise/scatter.py)
+    """
+
+    stripe: Stripe
+    peaks: Peaks
+    reach_px: Floats
+    view: LineWindows
+    start: Floats
+    ln_width: Guess
+    tilt: Guess
+    noise: Noise
+    misfit: float
+
+    @property
+    def width_px(self) -> Floats:
+        """(K,) standard deviation of the line across it, as its neighbours have it."""
+        return np.exp(self.ln_width.value)
+
+    def is_near(self, offset: Floats, sigma: Floats) -> Mask:
+        """(K,) whether a centre was found: it and its sigma both within ``reach_px``.
+
+        Parameters
+        ----------
+        offset : (K,) array, px, of the centre from the peak; NaN where there is none
+        sigma : (K,) array, px, its standard uncertainty
+        """
+        with np.errstate(invalid="ignore"):
+            near: Mask = np.abs(offset) <= self.reach_px
+            near &= (sigma > 0) & (sigma <= self.reach_px)
+        return near
+
+
+def survey(image: GreyValues, settings: StripeSection, clipped: Mask) -> Survey | Stripe:
+    """What is known of the line in a picture, or the stripe itself where there is none.
+
+    The noise is the one in ``settings.noise`` or, without, estimated from the picture.
+
+    Parameters
+    ----------
+    image : (H, W) array, DN, as extractors get it
+    settings : StripeSection, threshold, span and noise
+    clipped : (H, W) mask, as extractors get it
+    """
+    return surveys([(image, settings, clipped)])[0]
+
+
+def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
+    """The same of several pictures, whose lines are fitted together.
+
+    Parameters
+    ----------
+    pictures : sequence of tuple, the arguments of :func:`survey` for each
+    """
+    found = [_found(*picture) for picture in pictures]
+    noted = [one for one in found if isinstance(one, _Found)]
+    known = {
+        stated: iter(_surveyed([one for one in noted if one.states_noise == stated]))
+        for stated in (False, True)
+    }
+    return [next(known[one.states_noise]) if isinstance(one, _Found) else one for one in found]
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is known of the K columns with a line before any line is fitted.
+
+    As in :class:`Survey`; width_px: (K,) the rough width.  known_from: second differences that
+    the noise is known from, 0 where it is stated.  sample: indices of the columns that are fitted.
+    """
+
+    settings: StripeSection
+    stripe: Stripe
+    peaks: Peaks
+    width_px: Floats
+    noise: Noise
+    known_from: int
+    view: LineWindows
+    start: Floats
+    sample: Ints
+
+    @property
+    def states_noise(self) -> bool:
+        """Whether the settings do."""
+        return self.settings.noise is not None
+
+
+def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found | Stripe:
+    """The columns with a line, or the stripe itself where there are none."""
+    columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
+    stripe, peaks = nominal_peaks([columns], settings)
+    if len(peaks.columns) == 0:
+        return stripe
+    noise = _first_noise(columns, peaks, settings)
+    rough = _rough_width(columns, peaks, noise.constant)
+    peaks = _recentred(columns, peaks, float(np.median(rough)))
+    stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
+    if len(peaks.columns) == 0:
+        return stripe
+    known_from = 0
+    if settings.noise is None:
+        aside = _aside(columns, peaks, rough)
+        noise, known_from = Noise(constant_variance(aside), 0.0), aside[:, 2:].size
+    view = _view(columns, lost, peaks, rough)
+    start, sample = _start(view, rough), _pairs(len(rough))
+    return _Found(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
+
+
+def _surveyed(found: Sequence[_Found]) -> list[Survey]:
+    """The surveys of pictures with a line, from the fits to a sample of it in each.
+
+    The settings of all state the noise, or of none.  It is that found before where they do, else
+    as the lines' residuals have it.
+    """
+    searches = []
+    for one in found:
+        precision = weak_precision(one.start)
+        precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
+        search = LineSearch(one.view, one.start, one.noise, LinePrior(one.start, precision))
+        searches.append(search.of(one.sample))
+    places = [select(one.peaks, one.sample) for one in found]
+    fits, scatters = _fitted(searches, places)
+    for _ in range(_NOISE_TURNS if found and not found[0].states_noise else 0):
+        searches = [
+            replace(
+                search,
+                start=fit.parameters,
+                noise=scatter.noise(one.noise.constant, one.known_from),
+            )
+            for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
+        ]
+        fits, scatters = _fitted(searches, places)
+    return [
+        _survey(one, fit, search.noise, scatter.misfit(search.noise))
+        for one, fit, search, scatter in zip(found, fits, searches, scatters, strict=True)
+    ]
+
+
+def _fitted(
+    searches: Sequence[LineSearch], places: Sequence[Peaks]
+) -> tuple[list[LineFit], list[Scatter]]:
+    fits = fit_lines(searches) if searches else []
+    each = zip(fits, places, strict=True)
+    return fits, [scatter_of(fit, peaks.columns, peaks.rows) for fit, peaks in each]
+
+
+def _survey(found: _Found, fit: LineFit, noise: Noise, misfit: float) -> Survey:
+    """The survey, with what the ``fit`` of the sample says of all columns."""
+    count, start = len(found.width_px), found.start.copy()
+    ln_width, tilt = (_between(fit, which, found.sample, count) for which in (LN_WIDTH, TILT))
+    start[:, LN_WIDTH], start[:, TILT] = ln_width.value, tilt.value
+    reach = _reach(found.width_px, found.settings)
+    known = (found.stripe, found.peaks, reach, found.view, start)
+    return Survey(*known, ln_width, tilt, noise, misfit)
+
+
+def _first_noise(columns: GreyValues, peaks: Peaks, settings: StripeSection) -> Noise:
+    if settings.noise is not None:
+        return stated_noise(settings.noise, float(np.median(peaks.base)))
+    return Noise(constant_variance(columns), 0.0)
+
+
+def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
+    """Pixels more than six widths away from the line, one sampled column a row.
+
+    Those below it first, then, one odd pair in hundreds, those from the top on.  All pixels of
+    columns that have none.
+    """
+    sample = _sample(len(peaks.rows))
+    sample = sample[sampled(len(sample))]
+    height = columns.shape[1]
+    reach = int(np.ceil(6 * np.median(width_px))) + 2
+    if height - 2 * reach < 3:
+        return columns[sampled(len(columns))]
+    seen = columns[peaks.columns[sample]]
+    around = all_windows(np.concatenate([seen, seen], axis=1), height - 2 * reach)
+    aside: GreyValues = around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height]
+    return aside
+
+
+def _sample(count: int) -> Ints:
+    return np.arange(0, count, -(-count // _SAMPLE))
+
+
+def _pairs(count: int) -> Ints:
+    """About _SAMPLE of ``count`` columns, evenly, each with the next."""
+    first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
+    return np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
+
+
+def _rough_width(columns: GreyValues, peaks: Peaks, constant: float) -> Floats:
+    """Width (K,) in px of each line, from the sums of its light and of its light squared.
+
+    A Gaussian of flux F has the sum of squares F² / (2 sqrt(pi) s).  Twice, the second time
+    in windows no wider than the line needs.
+    """
+    sample = _sample(len(peaks.rows))
+    chosen = select(peaks, sample)
+    reach = _FIRST_REACH_PX
+    for _ in range(2):
+        light = _above_ground(windows(columns, chosen.columns, chosen.rows, reach))
+        flux = np.maximum(light.sum(axis=1), 0.0)
+        squares = (light**2).sum(axis=1) - light.shape[1] * constant
+        width = flux**2 / (2 * np.sqrt(np.pi) * np.maximum(squares, constant))
+        width = np.clip(width, *_WIDTHS_PX)
+        reach = int(np.ceil(4 * np.median(width))) + 3
+    smooth = median_filter(width, _NEIGHBOURS, mode="nearest")
+    return np.interp(np.arange(len(peaks.rows)), sample, smooth)
+
+
+def _above_ground(windows: Floats) -> Floats:
+    """Windows (K, n) less the straight line through the medians of their ends."""
+    n = windows.shape[1]
+    end = max(2, n // 8)
+    left, right = np.median(windows[:, :end], axis=1), np.median(windows[:, -end:], axis=1)
+    rise = np.clip((np.arange(n) - (end - 1) / 2) / (n - end), 0, 1)
+    return windows - left[:, None] - (right - left)[:, None] * rise
+
+
+def _recentred(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
+    """The peaks moved to the brightest pixel of the line smoothed with its own width.
+
+    Noise and clipping move the brightest pixel about; this one stays near the centre.
+    """
+    search = int(np.ceil(1.5 * width_px)) + 1
+    kernel_reach = int(np.ceil(3 * width_px))
+    near = windows(columns, peaks.columns, peaks.rows, search + kernel_reach)
+    place = np.arange(-search, search + 1)[:, None]
+    pixel = np.arange(-search - kernel_reach, search + kernel_reach + 1)
+    kernel = np.exp(-0.5 * ((pixel - place) / width_px) ** 2)
+    kernel[np.abs(pixel - place) > kernel_reach] = 0
+    return replace(peaks, rows=peaks.rows + (near @ kernel.T).argmax(axis=1) - search)
+
+
+def _reach(width_px: Floats, settings: StripeSection) -> Floats:
+    return np.maximum(np.ceil(2 * width_px), settings.span_px)
+
+
+def _within(
+    stripe: Stripe, peaks: Peaks, width_px: Floats, height: int, settings: StripeSection
+) -> tuple[Stripe, Peaks, Floats]:
+    """The peaks whose line lies whole in the picture; AT_BORDER for the others."""
+    reach = _reach(width_px, settings)
+    inside = (peaks.rows >= reach) & (peaks.rows < height - reach)
+    status = stripe.status.copy()
+    status[peaks.columns[~inside]] = Status.AT_BORDER
+    kept = select(peaks, inside)
+    return replace(stripe, status=status), kept, width_px[inside]
+
+
+def _view(columns: GreyValues, lost: Mask, peaks: Peaks, width_px: Floats) -> LineWindows:
+    """The windows, four widths and two pixels to either side."""
+    reach = np.ceil(4 * width_px).astype(int)[:, None] + 2
+    steps = np.arange(-reach.max(), reach.max() + 1)
+    rows = peaks.rows[:, None] + steps
+    used = (np.abs(steps) <= reach) & (rows >= 0) & (rows < columns.shape[1])
+    grey = windows(columns, peaks.columns, peaks.rows, steps)
+    clipped = windows(lost, peaks.columns, peaks.rows, steps) > 0
+    each = (np.asfortranarray(values) for values in (grey, used, clipped))  # as in of()
+    grey, used, clipped = each
+    return LineWindows(steps.astype(float), grey, peaks.base, used, clipped)
+
+
+def _start(view: LineWindows, width_px: Floats) -> Floats:
+    """First guess (K, 5) of the parameters: a line at the middle pixel, on the least ground."""
+    middle = view.grey.shape[1] // 2
+    ground = np.where(view.used, view.grey, np.inf).min(axis=1)
+    height = np.maximum(view.grey[:, middle - 1 : middle + 2].max(axis=1) - ground, 1e-3)
+    level = np.zeros(len(ground))
+    return parameters_of(level, width_px, height, ground, level)
+
+
+def weak_precision(start: Floats) -> Floats:
+    """1/variance (K, 5) of the little that is known of any line.
+
+    It decides only what the pixels leave open, as where all are clipped: the centre within
+    ten widths, the width and the height within a factor of 20, the ground within the height
+    and its slope within a tenth of the height a width.
+
+    Parameters
+    ----------
+    start : (K, 5) array, px and DN, where the line begins (crosssection.py)
+    """
+    width, height = np.exp(start[:, LN_WIDTH]), np.exp(start[:, LN_HEIGHT])
+    factor = np.full(len(start), np.log(20.0))
+    spread = np.column_stack([10 * width, factor, factor, height, height / (10 * width)])
+    precision: Floats = spread**-2
+    return precision
+
+
+def _between(fit: LineFit, which: int, sample: Ints, count: int) -> Guess:
+    """A parameter at all columns from its running median over the sample.
+
+    Its spread is what single columns scatter beyond their own uncertainty, and at least that
+    of the median of so few.
+    """
+    value = fit.parameters[:, which]
+    smooth = median_filter(value, _NEIGHBOURS, mode="nearest")
+    scatter = (1.4826 * np.median(np.abs(value - smooth))) ** 2
+    own = np.median(fit.covariance[:, which, which])
+    spread = np.sqrt(max(scatter - own, 0.2 * own))
+    return Guess(np.interp(np.arange(count), sample, smooth), float(spread))
+
+
+# The extractor that makes the most of the pixels: maximum likelihood of a Gaussian line.
+
+
+_MISFIT_NEIGHBOURS = 31
 _FEWEST_TRIPLES = 16
 _FOREIGN = 3.0
 """Misfit of a column beyond which something other than noise is in it: chi-square over its
@@ -138,7 +501,7 @@ def _foreign(search: LineSearch, fit: LineFit, settings: StripeSection) -> Ints:
 
 def _common(fit: LineFit) -> Floats:
     """(K,) misfit that a column has in common with its neighbours."""
-    return np.asarray(median_filter(fit.misfit, _NEIGHBOURS, mode="nearest"))
+    return np.asarray(median_filter(fit.misfit, _MISFIT_NEIGHBOURS, mode="nearest"))
 
 
 def _crest(seen: Survey, search: LineSearch, at: Ints) -> LineSearch:

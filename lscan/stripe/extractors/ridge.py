@@ -16,8 +16,8 @@ from scipy.special import ndtr
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import on_integers
-from lscan.stripe.noise import Noise, line_noise, stated_noise
 from lscan.stripe.peaks import crests, line_width, medians, pieces, windows
+from lscan.stripe.picture import Noise, line_noise, stated_noise
 
 _REACH = 4  # standard deviations at which the Gaussian kernels end
 _FINEST_PX = 1.0  # a Gaussian less wide lets the pixels' raster through

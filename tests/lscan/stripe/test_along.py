@@ -8,8 +8,8 @@ from stripe_pictures import centres_of, light_of, noisy, nothing_clipped
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe
 from lscan.stripe import extract_stripe, find_extractor
+from lscan.stripe.extract import excess, shared_columns
 from lscan.stripe.peaks import crests, pieces
-from lscan.stripe.scatter import excess, shared_columns
 from sim.validation.field.sigma import camera_picture
 
 COLUMNS = 640

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from lscan.stripe.fit import lines
-from lscan.stripe.noise import Noise
-from lscan.stripe.scatter import centre_bound_px
+from lscan.stripe.fit import centre_bound_px, lines
+from lscan.stripe.picture import Noise
 
 # A pixel turns a Gaussian of width w into very nearly one of width sqrt(w² + 1/12): what is
 # left is of fourth order, under 1/(120 · 12 w⁴) of it: 3e-4 at 1.2 px.

@@ -5,7 +5,7 @@ from hypothesis import given, settings, strategies as st
 from lines_drawn import drawn
 
 from lscan.records import Status, Stripe
-from lscan.stripe.peaks import CORE_PX, GROUND_PX, core_flux
+from lscan.stripe.peaks import BESIDE_CORE_PX, CORE_PX, core_flux
 
 HEIGHT, WIDTH = 60, 40
 WIDTH_PX = 1.0
@@ -51,7 +51,7 @@ def test_it_is_the_light_between_the_core_s_bounds():
     centre = np.full(WIDTH, 30.0)
     light = line(centre)
     core = light[:, 30 - CORE_PX : 30 + CORE_PX + 1].sum(axis=1)
-    pixels = (2 * CORE_PX + 1) * light[0, 30 + GROUND_PX[0]]
+    pixels = (2 * CORE_PX + 1) * light[0, 30 + BESIDE_CORE_PX[0]]
     np.testing.assert_allclose(core_flux(stripe(centre), light), core, atol=pixels)
 
 

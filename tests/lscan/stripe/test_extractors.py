@@ -8,9 +8,16 @@ from stripe_pictures import HEIGHT, centres_of, light_of, noisy, nothing_clipped
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, has_value
 from lscan.stripe import extract_stripe, find_extractor
-from lscan.stripe.fit import LinePrior, LineSearch, LineWindows, fit_lines, lines, parameters_of
-from lscan.stripe.noise import Noise
-from lscan.stripe.scatter import centre_bound_px
+from lscan.stripe.fit import (
+    LinePrior,
+    LineSearch,
+    LineWindows,
+    centre_bound_px,
+    fit_lines,
+    lines,
+    parameters_of,
+)
+from lscan.stripe.picture import Noise
 
 NAMES = ["ml", "gaussian", "blais-rioux", "centroid-squared", "smoothed-peak"]
 # What remains where the same sums are made of shifted or scaled numbers: 1e-13 in each, and

@@ -12,10 +12,9 @@ from lscan.benchmark.drawn import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.peaks import doubted
+from lscan.stripe.peaks import Spots, doubted
 from lscan.stripe.picture import clipping_level, lines_of, strongest_excess
 from lscan.stripe.returns import choose_return, paths_of
-from lscan.stripe.spots import Spots
 
 HEIGHT, WIDTH = 200, 300
 COLUMN = np.arange(WIDTH)

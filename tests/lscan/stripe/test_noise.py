@@ -7,7 +7,7 @@ from stripe_pictures import centres_of, light_of, noisy
 
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.stripe import extract_stripe
-from lscan.stripe.noise import Noise, difference_noise, scatter_noise, stated_noise
+from lscan.stripe.picture import Noise, difference_noise, scatter_noise, stated_noise
 
 
 @settings(max_examples=25)

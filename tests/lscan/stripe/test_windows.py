@@ -14,9 +14,17 @@ from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.api import takes_integers
 from lscan.stripe.extract import extract_stripes
 from lscan.stripe.fit import _ndtr
-from lscan.stripe.noise import constant_variance, robust_variance
-from lscan.stripe.peaks import crests, medians, ranked, windows
-from lscan.stripe.spots import _opened, relief_of, spots_near, spots_of
+from lscan.stripe.peaks import (
+    _opened,
+    crests,
+    medians,
+    ranked,
+    relief_of,
+    spots_near,
+    spots_of,
+    windows,
+)
+from lscan.stripe.picture import constant_variance, robust_variance
 
 HEIGHT, WIDTH = 260, 60
 COLUMN = np.arange(WIDTH)

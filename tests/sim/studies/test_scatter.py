@@ -5,8 +5,8 @@ import pytest
 from study_cases import known_of, study_with
 
 from lscan.records import select
-from lscan.stripe.noise import Noise
-from lscan.stripe.scatter import centre_bound_px
+from lscan.stripe.fit import centre_bound_px
+from lscan.stripe.picture import Noise
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.scene.varying import number_at, with_numbers
