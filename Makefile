@@ -4,6 +4,7 @@
 PYTHON ?= python3
 PHOTOGRAPHS ?=
 PYTEST ?=
+NAME ?=
 BIN := .venv/bin
 ROOT := $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
 MINUTES ?= 10
@@ -13,9 +14,7 @@ OLDEST ?= $(addprefix tests/lscan/,files config camera live surface/test_stack.p
 NEWEST := $(shell sed -n '1,3s/.*3\.[0-9]* to 3\.\([0-9]*\).*/\1/p' requirements.lock)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-QUICK := accuracy hardware verify field demo bench budgets roughness regression
-.PHONY: help setup demo test pytest smoke soak lint house oldest bench verify accuracy field hardware roughness regression suites docs clean
-.PHONY: $(addprefix quick-,$(QUICK))
+.PHONY: help setup demo test pytest validate soak lint house oldest suites docs clean
 .DELETE_ON_ERROR:
 
 help:
@@ -23,19 +22,13 @@ help:
 	@echo "make demo    scan the tank once and write out/demo"
 	@echo "make test    all checks and all tests"
 	@echo "make pytest  the tests alone"
-	@echo "make smoke   every figure of the commands below and of the demo, quickly; out/quick"
 	@echo "make soak    property tests with random examples for MINUTES=10, or as many as named"
 	@echo "make house   sizes of packages and README, names used twice, each with its bar"
 	@echo "make oldest  tests of the instrument and a render with the oldest packages allowed; out/oldest"
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
-	@echo "make bench   measure speed and write out/bench.json"
-	@echo "make verify  hold the tank against references; out/verify.json, out/verify/report.html"
-	@echo "make accuracy  hold the instrument against the truth; out/accuracy.json"
-	@echo "make field   hold the instrument to pictures, water and surfaces unlike the paper's"
-	@echo "make hardware  hold drivers, runs and the live page to their bars; out/hardware.json"
-	@echo "make study   hold studies to closed forms, renders and the clock; out/study.json"
-	@echo "make roughness  hold roughness to fields, blocks and sounds that are known; out/roughness.json"
-	@echo "make regression  hold suites, the paired test and data sets to their bars; out/regression.json"
+	@echo "make validate  hold tank and instrument to their figures; out/validate/report.html."
+	@echo "             NAME=light (or instrument, surfaces, robustness, studies, regression,"
+	@echo "             roughness, speed) measures one theme, QUICK=1 all with the least effort"
 	@echo "make suites  render the suites quick and chains and pack the wheel of them; out/dist"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
@@ -76,56 +69,13 @@ oldest: .venv/llvm.stamp
 	out/oldest/bin/python -m pytest -q -m "not slow" $(OLDEST)
 	out/oldest/bin/lscan-sim demo --quick -o out/oldest/demo
 
-# Every figures command, each with the least effort: what a later change broke shows here.  Two
-# at a time, each with one thread to render: threads wait for work at full speed.
-smoke: export LSCAN_PHOTONS ?= 131072
-smoke: export LSCAN_THREADS ?= 1
-smoke: .venv/llvm.stamp .venv/chromium.stamp
-	$(MAKE) --jobs=2 --keep-going --output-sync=target $(addprefix quick-,$(QUICK))
-
-quick-accuracy:
-	$(BIN)/lscan-sim accuracy --quick -o out/quick/accuracy.json
-quick-bench:
-	$(BIN)/lscan-sim bench --quick -o out/quick/bench.json
-quick-budgets:
-	$(BIN)/lscan-sim budgets --quick -o out/quick/budgets.json
-quick-roughness:
-	$(BIN)/lscan-sim roughness --quick -o out/quick/roughness.json
-quick-regression:
-	$(BIN)/lscan-sim regression --quick -o out/quick/regression.json
-quick-demo:
-	$(BIN)/lscan-sim demo --quick -o out/quick/demo
-quick-field:
-	$(BIN)/lscan-sim field --quick -o out/quick/field.json
-quick-hardware:
-	$(BIN)/lscan-sim hardware --quick -o out/quick/hardware.json
-quick-verify:
-	$(BIN)/lscan-sim verify --quick -o out/quick/verify
-
-bench: .venv/llvm.stamp
-	$(BIN)/lscan-sim bench -o out/bench.json
-
-verify: .venv/llvm.stamp
-	$(BIN)/lscan-sim verify -o out/verify --json-file out/verify.json
-
-# The rows of real photographs need a folder of them: make accuracy PHOTOGRAPHS=FOLDER.
-accuracy: .venv/llvm.stamp
-	$(BIN)/lscan-sim accuracy $(if $(PHOTOGRAPHS),--photographs "$(PHOTOGRAPHS)") -o out/accuracy.json
-
-field: .venv/llvm.stamp
-	$(BIN)/lscan-sim field $(if $(PHOTOGRAPHS),--photographs "$(PHOTOGRAPHS)") -o out/field.json
-
-hardware: .venv/llvm.stamp .venv/chromium.stamp
-	$(BIN)/lscan-sim hardware -o out/hardware.json
-
-study: .venv/llvm.stamp
-	$(BIN)/lscan-sim budgets -o out/study.json
-
-roughness: .venv/llvm.stamp
-	$(BIN)/lscan-sim roughness -o out/roughness.json
-
-regression: .venv/llvm.stamp
-	$(BIN)/lscan-sim regression -o out/regression.json
+# Every theme, or NAME=... of them; the rows of real photographs need PHOTOGRAPHS=FOLDER.
+ifdef QUICK
+validate: export LSCAN_PHOTONS ?= 131072
+endif
+validate: .venv/llvm.stamp .venv/chromium.stamp
+	$(BIN)/python -m tests.validation $(NAME) $(if $(QUICK),--quick) $(if $(FULL),--full) \
+		$(if $(PHOTOGRAPHS),--photographs "$(PHOTOGRAPHS)") -o out/$(if $(QUICK),quick,validate)
 
 suites: .venv/llvm.stamp
 	$(BIN)/lscan-sim suite make quick -o out/suites/quick.zip
@@ -147,7 +97,7 @@ clean:
 # The live page is tested in a browser; where none can be had, those tests say so and skip.
 # After LLVM, not beside it: both may call apt-get, which runs once at a time.
 .venv/chromium.stamp: .venv/packages.stamp | .venv/llvm.stamp
-	@$(BIN)/python -m sim.testing.browser --install
+	@$(BIN)/python -m tests.validation.browser --install
 	@touch $@
 
 .venv/packages.stamp: .venv/python.stamp requirements.lock pyproject.toml

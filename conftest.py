@@ -137,7 +137,7 @@ def chromium() -> Iterator["Chromium"]:
 
     Not for the session: as long as it lasts, Playwright's event loop is that of this thread.
     """
-    from sim.testing.browser import BrowserMissing, headless_chromium
+    from tests.validation.browser import BrowserMissing, headless_chromium
 
     try:
         with headless_chromium() as browser:

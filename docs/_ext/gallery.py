@@ -7,7 +7,7 @@ from pathlib import Path
 
 from lscan.config.documents import read_document
 from sim.scene import load_scene
-from sim.validation.physics.gallery import plate, scene_files
+from tests.validation.light.gallery import plate, scene_files
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -2,33 +2,16 @@
 
 from lscan.cli.console import before_any_command, command_line, run_program
 from sim.cli.dataset import dataset, suite
-from sim.cli.figures import (
-    accuracy,
-    bench,
-    budgets,
-    field,
-    hardware,
-    regression,
-    roughness,
-    verify,
-)
 from sim.cli.pictures import demo, render, truth, views
 from sim.cli.serve import serve
 from sim.cli.study import concavity, study
 
 app = command_line(
-    "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, budgets, roughness, regression, study, concavity, dataset, suite."
+    "The tank in software: demo, render, truth, views, serve, study, concavity, dataset, suite."
 )
 app.callback()(before_any_command)
-for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
+for command in (demo, render, truth, views, serve, study, concavity, dataset):
     app.command()(command)
-app.command()(budgets)
-app.command()(roughness)
-app.command()(regression)
-app.command()(study)
-app.command()(concavity)
-app.command()(dataset)
 app.add_typer(suite, name="suite")
 
 

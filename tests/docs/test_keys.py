@@ -23,7 +23,7 @@ import workspace
 from lscan.cli.app import app as instrument
 from lscan.records import Status
 from sim.cli.app import app as tank
-from sim.validation.physics.gallery import scene_files
+from tests.validation.light.gallery import scene_files
 
 SECTIONS = [
     pytest.param(section, id=f"{name}-{section.label or 'file'}")

@@ -11,9 +11,9 @@ from sim.render.spreads import spread_of
 from sim.render.tank import Tank
 from sim.scene import load_scene
 from sim.scene.matter import Water
-from sim.validation.physics.gallery import shrunk
 from sim.water import water_optics
 from sim.water.spread import Spread
+from tests.validation.light.gallery import shrunk
 
 TIMES = 4  # pictures of 160 by 120 px
 WATER = water_optics(Water(kind="harbor"), 650.0)

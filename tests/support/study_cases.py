@@ -5,7 +5,7 @@ from functools import cache
 from lscan.config.documents import Document
 from sim.studies.rig.prepared import Prepared
 from sim.studies.studyfile import Study, study_of
-from sim.validation.study.twelve import assumed
+from tests.validation.studies.twelve import assumed
 
 
 def study_with(causes: Document, **sections: object) -> Study:

@@ -29,7 +29,7 @@ from live_mock import (
 from places import ROOT
 from playwright.sync_api import Error, Page
 
-from sim.testing.browser import wait_for
+from tests.validation.browser import wait_for
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: they share a fixture
 

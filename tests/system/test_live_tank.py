@@ -17,8 +17,8 @@ from lscan.live.session import Session
 from lscan.records import Bytes
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
-from sim.validation.accuracy.exposures import pictures
-from sim.validation.accuracy.misaligned import OFFSET_MM, TILT_DEG, misaligned
+from tests.validation.exposures import pictures
+from tests.validation.instrument.board import OFFSET_MM, TILT_DEG, misaligned
 
 pytestmark = pytest.mark.slow
 

@@ -13,7 +13,7 @@ from lscan.records import Floats, Status
 from sim.datasets.views import held_scenes
 from sim.scene import Scene, load_scene
 from sim.truth import board_truth, project, sheet_of, stripe_truth
-from sim.validation.accuracy.metric import calibrated, sheet_error
+from tests.validation.instrument.metric import calibrated, sheet_error
 
 METRIC = SCENES / "metric"
 MARK_PX, LINE_PX = 0.02, 0.15  # of what is read from the rendered pictures

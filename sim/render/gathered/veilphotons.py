@@ -1,8 +1,9 @@
 """Photons of a sheet in endless water, counted where the camera sees them.
 
 At every place that scatters a photon, light goes on to the camera on a walk of its own.  Each path
-counts where it turns most, as in ``sim.render.judge``: the photon's turns before and the walk's
-turns after are smaller than that of the place, whose phase function is then never at its peak.
+counts where it turns most, as the judge's do in ``tests/validation/light``: the photon's turns
+before and the walk's after are smaller than that of the place, whose phase function is then never
+at its peak.
 Some paths are kept, the more light they bring the more likely, for surfaces to be held against.
 """
 

@@ -32,7 +32,7 @@ from lscan.errors import InputError
 from lscan.files.disk import write_json
 from lscan.records import Status, has_value
 from lscan.stripe import find_extractor
-from sim.validation.regression.drawnsums import drawn_sums
+from tests.validation.regression.mutations import drawn_sums
 
 pytestmark = pytest.mark.xdist_group("suite_bench")  # one worker: they share a fixture
 

@@ -9,7 +9,7 @@ from lscan.board import chessboard as chesslattice
 from lscan.board.chessboard import find_lattice, read_chessboard
 from lscan.errors import BoardNotFound
 from lscan.records import Bytes, Floats
-from sim.validation.field.drawn import DrawnView, chessboard_grey, photographed
+from tests.validation.surfaces.drawn import DrawnView, chessboard_grey, photographed
 
 ROWS, COLUMNS, SQUARE_MM = 6, 9, 20.0
 NO_SLIVERS = (0.0, 0.0, 0.0, 0.0)

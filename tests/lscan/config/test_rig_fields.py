@@ -19,15 +19,26 @@ from lscan.config.documents import Strict, in_words, toml_text
 from lscan.config.rig import Rig, load_rig
 from lscan.errors import InputError
 from sim.scene.file import TankSections
-from sim.testing.crossing import CROSSINGS
-from sim.testing.goodrigs import CAMERAS, TRACKS, GoodRig, RigPart, good_rigs, write_beside
-from sim.testing.wrongfields import WrongField, crossed_rigs, places, wrong_fields
-from sim.testing.wrongvalues import schema_of, wrong_values
-from sim.validation.robustness.fields import (
+from tests.validation.robustness.campaign import (
     devices_guarded,
     fault_of_refusal,
     shortcoming,
     try_all,
+)
+from tests.validation.robustness.rigfiles import (
+    CAMERAS,
+    CROSSINGS,
+    TRACKS,
+    GoodRig,
+    RigPart,
+    WrongField,
+    crossed_rigs,
+    good_rigs,
+    places,
+    schema_of,
+    write_beside,
+    wrong_fields,
+    wrong_values,
 )
 
 EVERY = 40

@@ -14,7 +14,7 @@ from fake_devices import LaserTrack
 from live_rig import live_bench
 from live_served import Page, served
 
-from sim.testing.browser import wait_for
+from tests.validation.browser import wait_for
 
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: one Chromium at a time
 TOKEN = "correct-horse"

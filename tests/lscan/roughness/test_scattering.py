@@ -20,7 +20,7 @@ from lscan.roughness import (
     structure_constant,
 )
 from lscan.roughness.scattering import kirchhoff_integral
-from sim.validation.roughness.sound import PUBLISHED, PublishedStrength
+from tests.validation.roughness.sound import PUBLISHED, PublishedStrength
 
 LAW = PowerLaw(3.25, 0.004446)
 SAND = sediment("medium sand")

@@ -10,7 +10,7 @@ from lscan.records import Status, Stripe
 from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.extract import excess, shared_columns
 from lscan.stripe.peaks import crests, pieces
-from sim.validation.field.sigma import camera_picture
+from tests.validation.surfaces.relief import camera_picture
 
 COLUMNS = 640
 

@@ -33,7 +33,7 @@ from sim.datasets.labels import Label
 from sim.render.tank import Tank, surfaces_seen
 from sim.scene import camera_pose, head_pose, load_scene
 from sim.truth import project, stripe_truth
-from sim.validation.regression import datasets as figures
+from tests.validation.regression import datasets as figures
 
 SMALL = {
     "camera": {"width_px": 64, "height_px": 48},

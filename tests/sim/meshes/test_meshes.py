@@ -24,7 +24,7 @@ from sim.meshes.workpieces import (
 )
 from sim.scene import Scene, load_scene
 from sim.scene.matter import Sand, Texture
-from sim.validation.physics.gallery import scene_files
+from tests.validation.light.gallery import scene_files
 
 GALLERY = SCENES
 SCENES = GALLERY / "paper"

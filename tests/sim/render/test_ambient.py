@@ -15,7 +15,7 @@ from sim.render.ambient.lattice import Interpolation, SurfaceNodes
 from sim.render.firstorder import picture
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
-from sim.validation.physics.gallery import shrunk
+from tests.validation.light.gallery import shrunk
 
 TIMES = 4  # pictures of 160 by 120 px
 ROUNDS, EACH = 6, 16  # of the estimators at random, samples a pixel

@@ -26,7 +26,7 @@ ODD = "np.arange(5001, dtype=np.float32)"
 RENDERED = """
 from sim.scene import load_scene
 from sim.render.tank import Tank
-from sim.validation.physics.gallery import shrunk
+from tests.validation.light.gallery import shrunk
 for name, light in {cases!r}:
     scene = shrunk(load_scene(name), 3).with_tank(render={{"light": light}})
     Tank(scene).render(0.0)

@@ -13,12 +13,12 @@ from lscan.errors import InputError
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.camera import RefractiveCamera
-from sim.render.plugins.traced import TracedCamera
 from sim.scene import Head, Lens, PlanePort, Port, Pose, Scene, camera_pose, load_scene
 from sim.scene.file import check_lens
 from sim.scene.instrument import DomePort
 from sim.truth import project
 from sim.water import water_optics
+from tests.validation.light.rigs import TracedCamera
 
 SCENE = load_scene(SCENES / "paper" / "groove.toml")
 WIDTH, HEIGHT = SCENE.rig.camera.width_px, SCENE.rig.camera.height_px

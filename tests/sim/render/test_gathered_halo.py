@@ -13,7 +13,7 @@ from sim.render.gathered.picture import LEFT_APART_MM, GatheredLight
 from sim.render.plugins.arrays import floats, vectors
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Pose, head_pose, load_scene
-from sim.validation.physics.gallery import shrunk
+from tests.validation.light.gallery import shrunk
 
 TIMES = 8  # pictures of 80 by 60 px
 POSITION_MM = 65.0  # the line crosses the block and the floor

@@ -14,14 +14,14 @@ from sim.render.gathered import picture, reflections
 from sim.render.gathered.camera import CameraLeg
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.picture import GatheredLight
-from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.spreads import spread_of
 from sim.render.tank import Tank
 from sim.scene import load_scene
 from sim.scene.matter import Water
-from sim.validation.physics.gallery import shrunk
-from sim.validation.physics.lightcases import light_case
 from sim.water import water_optics
+from tests.validation.light.gallery import shrunk
+from tests.validation.light.judge import JudgeEffort, judge
+from tests.validation.light.rigs import light_case
 
 TURBID = {"kind": "tank", "turbidity_ntu": 1.0, "phase": "henyey-greenstein", "asymmetry": 0.9}
 LEFT, RIGHT = 48, 96

@@ -19,7 +19,7 @@ from sim.render.tank import Tank
 from sim.scene import LaserLine, Scene, load_scene
 from sim.scene.instrument import Drift
 from sim.scene.matter import Sand
-from sim.validation.physics.gallery import shrunk
+from tests.validation.light.gallery import shrunk
 
 TIMES = 8  # pictures of 80 by 60 px
 SAMPLES = 16

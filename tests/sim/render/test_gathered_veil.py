@@ -23,13 +23,13 @@ from sim.render.gathered.veilphotons import (
     _evenly,
     veil_counts,
 )
-from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose, head_pose, load_scene
-from sim.validation.physics.gallery import shrunk
 from sim.water import HenyeyGreensteinMixture, Optics
+from tests.validation.light.gallery import shrunk
+from tests.validation.light.judge import JudgeEffort, judge
 
 WIDTH, HEIGHT = 64, 48
 RIG: dict[str, Any] = {

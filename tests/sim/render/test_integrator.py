@@ -23,10 +23,10 @@ from lscan.records import Floats
 from sim.render.plugins.arrays import vectors
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.sampled.integrator import SheetIntegrator
-from sim.render.stockmedium import stock_medium
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose
 from sim.water import Optics
+from tests.validation.light.scattering import stock_medium
 
 
 def veil(sheet: LaserSheet, water: Optics, start: Floats, along: Floats, count: int) -> Floats:

@@ -16,9 +16,6 @@ from integrator_cases import (
 )
 
 from lscan.records import Floats
-from sim.render.judge.cells import SLIVER, CellRecords, SurfaceCells
-from sim.render.judge.judged import JudgeEffort, judge
-from sim.render.judge.photons import PhotonRecords, Waters, shoot
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.arrays import floats, indices
 from sim.render.sampled.multiple import MultipleIntegrator
@@ -26,6 +23,15 @@ from sim.render.tank import Tank
 from sim.scene import Laser, Pose
 from sim.scene.poses import rotation
 from sim.water import Optics
+from tests.validation.light.judge import JudgeEffort, judge
+from tests.validation.light.judgedphotons import (
+    SLIVER,
+    CellRecords,
+    PhotonRecords,
+    SurfaceCells,
+    Waters,
+    shoot,
+)
 
 COUNT = 1 << 20
 

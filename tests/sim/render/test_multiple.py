@@ -26,11 +26,11 @@ from sim.render.plugins.arrays import floats, opaque, opaque_vector
 from sim.render.sampled.beams import BeamDensity, beam_density, falloff, line_density
 from sim.render.sampled.integrator import SheetIntegrator
 from sim.render.sampled.multiple import MultipleIntegrator
-from sim.render.stockmedium import stock_medium
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose
 from sim.scene.matter import AmbientLight, Penumbra
 from sim.water import Optics
+from tests.validation.light.scattering import stock_medium
 
 FEW = settings(max_examples=15)
 LASER = Laser(

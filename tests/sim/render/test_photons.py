@@ -10,7 +10,6 @@ from scipy.stats import chi2, norm
 from lscan.records import Floats
 from sim.render.spreads import TILTS, first_crossings, plane_crossings
 from sim.scene.matter import Water
-from sim.validation.physics.spreading import on_planes
 from sim.water import water_optics
 from sim.water.spread import (
     RINGS,
@@ -21,6 +20,7 @@ from sim.water.spread import (
     solid_angles,
     tabulate,
 )
+from tests.validation.light.water import on_planes
 
 DEPTHS = np.geomspace(0.1, 3.0, 10)
 PHOTONS = 2**18

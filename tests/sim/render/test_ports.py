@@ -15,9 +15,9 @@ from sim.render.plugins.camera import (
     cross_face,
     fresnel_transmission,
 )
-from sim.render.plugins.traced import TracedPort, dielectric, port_shapes
 from sim.scene import PlanePort, Port
 from sim.scene.instrument import DomePort
+from tests.validation.light.rigs import TracedPort, dielectric, port_shapes
 
 FOCAL_PX = 850.0
 GLASS, WATER = 1.488, 1.3313

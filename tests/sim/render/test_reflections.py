@@ -28,7 +28,6 @@ from sim.render.gathered.line import (
     visible_part,
 )
 from sim.render.gathered.reflections import Reflections, visible_share
-from sim.render.judge.judged import JudgeEffort, judge
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.arrays import vectors
@@ -36,6 +35,7 @@ from sim.render.sampled.integrator import SheetIntegrator
 from sim.render.tank import Tank
 from sim.scene import Laser, Pose, head_pose, load_scene
 from sim.scene.poses import rotation
+from tests.validation.light.judge import JudgeEffort, judge
 
 HERE = Pose(np.eye(3), np.zeros(3))
 ELSEWHERE = Pose(rotation("ZYX", [30.0, -50.0, 110.0]), np.array([20.0, -300.0, 80.0]))

@@ -21,7 +21,7 @@ from sim.render.plugins.arrays import opaque
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Scene, load_scene
 from sim.scene.instrument import Drift
-from sim.validation.physics.gallery import shrunk
+from tests.validation.light.gallery import shrunk
 
 TIMES = 4  # pictures of 160 by 120 px
 SAMPLES, MANY = 16, 256

@@ -16,7 +16,7 @@ from sim.studies.problem import NOMINAL, columns
 from sim.studies.rig.evaluation import ErrorFrame, GeometricRig
 from sim.studies.rig.states import WAVE, check_keys, states_of
 from sim.truth import project
-from sim.validation.study.twelve import SENSOR_PX, SPECKLE_PX, assumed
+from tests.validation.studies.twelve import SENSOR_PX, SPECKLE_PX, assumed
 
 BASE_MM = 1e-3
 """What is left with nothing at work: the screen of outliers and the search of the map stop at

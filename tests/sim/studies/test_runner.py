@@ -40,15 +40,18 @@ from sim.studies.run.store import (
     open_store,
     package_versions,
 )
-from sim.validation.study.running import (
+from tests.validation.studies.running import (
     ROWS,
+    StubSource,
     evaluated,
     killed_study,
     overhead,
     result_bytes,
     served_scheduler,
+    started_study,
+    stub_rows,
+    stub_study,
 )
-from sim.validation.study.stubs import StubSource, started_study, stub_rows, stub_study
 
 FAILING = 0.05
 

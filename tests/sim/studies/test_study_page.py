@@ -14,7 +14,7 @@ from study_examples import GROUPS, REASONS, strange_results, study_results
 from sim.studies.budget import CauseBudget, OutputBudget, StudyResults
 from sim.studies.indices import Bounded
 from sim.studies.page import figure, front_plot, headline, kept, label, render_page, share
-from sim.testing.browser import wait_for
+from tests.validation.browser import wait_for
 
 WITHOUT_END = {"meta", "link", "br", "img", "input"}
 

@@ -1,1 +1,0 @@
-"""What holds the tank and the instrument to their bars."""

@@ -1,0 +1,1 @@
+"""What holds the tank and the instrument to their figures: ``make validate``."""
