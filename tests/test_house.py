@@ -240,8 +240,26 @@ def test_few_modules_lie_outside_of_a_room() -> None:
     assert len(house.root_modules()) <= 6, house.root_modules()
 
 
-def test_no_two_classes_share_a_name() -> None:
-    assert not house.repeated_classes()
+def test_every_measure_of_the_house_is_within_its_bar() -> None:
+    assert [row for row in house.house_rows() if not row.passed] == []
+
+
+def test_a_way_that_skips_a_file_is_noticed(tmp_path: Path) -> None:
+    """Its files are there, and each is imported by one before it, or is a plug-in."""
+    (tmp_path / "docs/explanation").mkdir(parents=True)
+    (tmp_path / "lscan").mkdir()
+    (tmp_path / "pyproject.toml").write_text('[project.entry-points.g]\nd = "lscan.d:f"\n')
+    (tmp_path / "lscan/a.py").write_text("from lscan.b import c\n")
+    for name in "bcd":
+        (tmp_path / f"lscan/{name}.py").touch()
+    page = tmp_path / "docs/explanation/architecture.md"
+    row = "## Five ways through it\n\n| a way | `lscan/a.py`, `lscan/b.py`, `lscan/d.py`{} |\n"
+    page.write_text(row.format(""))
+    assert [path.name for path in house.ways(tmp_path)["a way"]] == ["a.py", "b.py", "d.py"]
+    for wrong in ("c", "e"):
+        page.write_text(row.format(f", `lscan/{wrong}.py`"))
+        with pytest.raises(ValueError, match=f"{wrong}.py"):
+            house.ways(tmp_path)
 
 
 def test_code_is_counted_without_docstrings_comments_and_blank_lines(tmp_path: Path) -> None:

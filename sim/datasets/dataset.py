@@ -49,7 +49,7 @@ LIMITS = """\
 - Depth and normals are of the middle of each pixel; of an edge across it one side is lost.
 - Layers have 11 significant bits, in units of `layer_unit_w_m2_sr`.
 - The brightness of a line leaves out what the water and other surfaces throw onto it.
-- Everything is simulated: how far the tank is to be believed, `lscan-sim verify` says.
+- Everything is simulated: how far the tank is to be believed, its project's `make validate` says.
 """
 
 

@@ -40,5 +40,5 @@ def drawn(
 
 
 def holes(shape: tuple[int, int], share: float, seed: int) -> Mask:
-    """Where cells are seen; as the figures of ``make roughness`` have it."""
+    """Where cells are seen; as the figures of ``make validate NAME=roughness`` have it."""
     return fields.holes(shape, share, np.random.default_rng(seed))

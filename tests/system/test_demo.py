@@ -178,7 +178,7 @@ def test_a_quick_demo_has_every_part_and_says_so(
     """The same entries, tables and figures, and ``"quick": true``.
 
     The scans and their evaluation are those of the whole demo, and their figures are not drawn
-    again; make smoke makes quick ones.
+    again; make validate QUICK=1 makes quick ones.
     """
     scanned: dict[str, RigFile] = {}
 

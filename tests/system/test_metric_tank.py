@@ -114,7 +114,7 @@ def test_the_line_lies_as_far_off_the_sheet_as_its_noise_takes_it() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("medium", MEDIA)
 def test_rendered_views(medium: str) -> None:
-    """The bars of make accuracy: laser-plane rms <= 0.2 mm; steps of 60 mm within 0.10 mm.
+    """The bars of ``make validate``: laser-plane rms <= 0.2 mm; steps of 60 mm within 0.10 mm.
 
     In the scene's own samples: a quarter of them leaves errors of its own of 0.2 mm.
     """

@@ -161,7 +161,7 @@ def test_too_narrow_a_band_is_refused() -> None:
 def test_intervals_hold_and_nothing_is_biased() -> None:
     """48 fields of three exponents, a tenth of each missing: the mean errors within 3.5 of their
     standard errors, a false alarm of which is once in 500; 95 % intervals hold 38 or more, which
-    fewer do once in 1,000 if each holds 90 %.  `make roughness` has 200."""
+    fewer do once in 1,000 if each holds 90 %.  `make validate NAME=roughness` has 200."""
     found: list[tuple[float, PowerLawFit]] = []
     for number in range(24):
         gamma2 = (2.4, 3.2, 3.9)[number % 3]

@@ -31,7 +31,7 @@ def noisy(reading: BoardReading, rng: np.random.Generator) -> BoardReading:
     "known", [OpticsSection(), OpticsSection(focal_px=(880.0, 43.0))], ids=["rough", "focal to 5 %"]
 )
 def test_map_on_the_sheet(known: OpticsSection) -> None:
-    """The bars of make accuracy: rms <= 0.03 mm, max <= 0.10 mm over the whole covered sheet."""
+    """The bars of ``make validate``: rms <= 0.03 mm, max <= 0.10 mm over all the covered sheet."""
     scene = load_scene(SCENE)
     x, z = np.meshgrid(np.linspace(0.0, 450.0, 46), np.linspace(-450.0, 0.0, 46))
     places = np.column_stack([x.ravel(), z.ravel()])

@@ -1,7 +1,7 @@
 """Real photographs: the dot board, the hand-held chessboards, the laser line with its dark pair.
 
-They are no part of the project: a folder of them is named by ``lscan-sim accuracy
---photographs``.
+They are no part of the project: a folder of them is named by ``make validate
+PHOTOGRAPHS=FOLDER``.
 """
 
 from itertools import pairwise

@@ -142,7 +142,7 @@ def test_wrong_noise_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_quick_chapter_has_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
     """The two chapters that take minutes otherwise, with the least effort: all rows, all finite.
 
-    In one water of the three, which differ in numbers alone; make smoke runs them all.
+    In one water of the three, which differ in numbers alone; make validate QUICK=1 runs them all.
     """
     monkeypatch.setattr("tests.validation.light.chapters.WATERS", ("coastal",))
     box, orders = (chapters(QUICK)[name]() for name in ("closed box", "all orders of scattering"))

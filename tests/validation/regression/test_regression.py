@@ -1,4 +1,4 @@
-"""What `make regression` measures by: mutants are extractors that differ, harms are refused."""
+"""What the theme regression measures by: mutants are extractors that differ, harms are refused."""
 
 import time
 

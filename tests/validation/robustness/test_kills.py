@@ -18,7 +18,7 @@ SCENE = SCENES / "paper" / "sandwave.toml"
 def test_killed_scans_are_finished_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Scans of direct light, which begin in half the time; those of ``make hardware`` show all."""
+    """Scans of direct light, which begin in half the time; those of ``make validate`` show all."""
     monkeypatch.setattr(kills, "KILLS_A_RUN", 2)
     scene = tmp_path / "direct.toml"
     scene.write_text('include = "paper/sandwave"\n[render]\nscatter_samples = 0\n')

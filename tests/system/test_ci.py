@@ -1,4 +1,4 @@
-"""Every figures command of the Makefile is run by ``make smoke``, and that by CI."""
+"""Continuous integration runs the checks, the tests and every figure with the least effort."""
 
 import os
 import re
@@ -7,9 +7,6 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
-from typer.testing import CliRunner
-
-from sim.cli.app import app
 
 MAKEFILE = (ROOT / "Makefile").read_text()
 
@@ -21,38 +18,8 @@ def recipe(target: str) -> str:
     return found[1]
 
 
-def figures_commands() -> set[str]:
-    """The commands of ``lscan-sim`` that a target runs, those of ``make smoke`` aside.
-
-    ``make suites`` renders what others judge by, and measures nothing.
-    """
-    runs = r"^[a-z]+:.*\n\t\$\(BIN\)/lscan-sim ([a-z]+) "
-    return set(re.findall(runs, MAKEFILE, re.MULTILINE)) - {"suite"}
-
-
-def test_the_figures_commands_are_those_known() -> None:
-    assert figures_commands() >= {
-        "demo",
-        "verify",
-        "accuracy",
-        "field",
-        "bench",
-        "hardware",
-        "budgets",
-    }
-
-
-@pytest.mark.parametrize("command", sorted(figures_commands()))
-def test_smoke_runs_the_command_quickly(command: str) -> None:
-    listed = re.search(r"^QUICK := (.*)$", MAKEFILE, re.MULTILINE)
-    assert listed and command in listed[1].split()
-    assert "$(addprefix quick-,$(QUICK))" in recipe("smoke")
-    assert f"lscan-sim {command} --quick -o out/quick/{command}" in recipe(f"quick-{command}")
-    assert "--quick" in CliRunner().invoke(app, [command, "--help"]).output
-
-
-@pytest.mark.parametrize("failing", ["none", "lint", "pytest", "smoke"])
-def test_continuous_integration_runs_checks_tests_and_smoke(failing: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("failing", ["none", "lint", "pytest", "validate"])
+def test_continuous_integration_runs_checks_tests_and_figures(failing: str, tmp_path: Path) -> None:
     """By a make that only says what it was asked for, and fails where it is asked for one target.
 
     All three are run to their ends, whichever fails, and CI fails with each and names it.
@@ -68,9 +35,10 @@ def test_continuous_integration_runs_checks_tests_and_smoke(failing: str, tmp_pa
         text=True,
     )
     assert (done.returncode == 0) == (failing == "none"), done.stderr
-    for target in ("lint", "pytest", "smoke"):
+    for target in ("lint", "pytest", "validate"):
         assert f"made: {target}" in done.stdout
         assert (f"make {target} failed" in done.stdout) == (failing == target)
+    assert "made: validate QUICK=1" in done.stdout
     assert 'made: pytest PYTEST=-m "not slow"' in done.stdout
 
 
