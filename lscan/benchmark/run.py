@@ -26,7 +26,7 @@ from lscan.calibration.planemap import find_solver
 from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.figures import style
-from lscan.figures.style import page_template
+from lscan.figures.page import page_template
 from lscan.files.disk import make_folder, write_atomically, write_json
 from lscan.records import Progress
 from lscan.stripe import find_extractor

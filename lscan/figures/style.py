@@ -7,7 +7,7 @@ that colour as its fallback, so that the page may turn dark and a saved figure s
 import base64
 import io
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import matplotlib.style
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import LinearSegmentedColormap
@@ -190,78 +189,6 @@ def _data_uri(image: Bytes) -> str:
 def _labelled(text: str, alt: str) -> str:
     escaped = alt.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     return text.replace("<svg", f'<svg role="img" aria-label="{escaped}"', 1)
-
-
-# A figure ready for a page, and numbers as a page writes them.
-
-
-@dataclass(frozen=True)
-class ReportFigure:
-    """A figure ready for a page.
-
-    Attributes
-    ----------
-    key : str, short name, unique on the page
-    title : str, what is shown, a few words
-    paper : str, the paper's figure, such as "Fig. 13"
-    alt : str, the picture in words
-    caption : str, what is seen, and the finding with its numbers
-    body : str, self-contained HTML: an inline SVG, or a canvas with its script
-    script : str, JavaScript to run after the page's plotting library, "" for a still picture
-    """
-
-    key: str
-    title: str
-    paper: str
-    alt: str
-    caption: str
-    body: str
-    script: str = ""
-
-
-def signed(value: float, digits: int) -> str:
-    """The number as text with its sign, + or a true minus.
-
-    Parameters
-    ----------
-    value : float, in any unit
-    digits : int, decimals
-
-    Examples
-    --------
-    >>> signed(-0.256, 2)
-    '−0.26'
-    """
-    return f"{value:+.{digits}f}".replace("-", "−")
-
-
-# Jinja2 templates of pages, which lie beside the modules that fill them.
-
-
-def page_template(package: str, name: str, **filters: Callable[..., object]) -> Template:
-    """The template of a page.
-
-    Parameters
-    ----------
-    package, name : str
-        The package that holds the file, and the file's name.
-    **filters : callable
-        Functions that the template uses, by their names there.
-
-    Returns
-    -------
-    jinja2.Template
-        What is filled in is escaped; a value that the template needs and does not get is an error.
-    """
-    environment = Environment(
-        loader=PackageLoader(package, ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(filters)
-    return environment.get_template(name)
 
 
 # Scattered points of a surface averaged onto a regular grid, for pictures.

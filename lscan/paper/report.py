@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lscan.calibration.calibrationfile import save_calibration
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.files.disk import make_folder, write_atomically, write_json
 from lscan.paper.experiment import (
     Experiment,
@@ -56,7 +56,7 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
     """
     from plotly.offline import get_plotlyjs
 
-    from lscan.figures.style import page_template
+    from lscan.figures.page import page_template
 
     bars = bars or Bars()
     sources = experiment.sources

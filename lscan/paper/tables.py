@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lscan.figures.style import signed
+from lscan.figures.page import signed
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper

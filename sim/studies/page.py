@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any
 
-from lscan.figures.style import page_template
+from lscan.figures.page import page_template
 from lscan.version import __version__
 from sim.studies.budget import (
     CauseBudget,

@@ -69,7 +69,7 @@ def house_rows(root: Path = ROOT) -> list[HouseRow]:
         HouseRow("modules at the root of lscan", len(at_root), 6, ", ".join(at_root)),
         HouseRow("lines of code of lscan and sim", sum(code.values()), 45_640, str(code)),
         HouseRow("of these lines of imports", imports, 4_290),
-        HouseRow("lines of code of tests and validation", tests, 54_160),
+        HouseRow("lines of code of tests and validation", tests, 54_500),
         HouseRow("class names used more than once", len(twice), 0, ", ".join(twice)),
         HouseRow("lines of README.md", len(readme), 150),
         *(

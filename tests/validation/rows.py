@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lscan.errors import LscanError
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.files.disk import make_folder, packaged_table, write_json
 
 

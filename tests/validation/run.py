@@ -21,7 +21,7 @@ import typer
 from lscan.acquisition.scan import cores
 from lscan.cli.console import print_table, progress_bar
 from lscan.config.scenes import scenes_folder
-from lscan.figures.style import page_template
+from lscan.figures.page import page_template
 from lscan.files.disk import list_names, make_folder, write_atomically
 from lscan.records import Progress
 from sim.render.backend import THREADS

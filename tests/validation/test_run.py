@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from lscan.cli.console import run_command_line
 from lscan.errors import InputError
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from sim.render.backend import THREADS
 from tests.validation import run
 from tests.validation.__main__ import app

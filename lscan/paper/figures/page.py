@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.paper.experiment import Experiment, LinePictures
 from lscan.paper.figures import pictures, surfaces
 from lscan.paper.published import Bars

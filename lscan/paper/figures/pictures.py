@@ -19,7 +19,7 @@ from lscan.calibration.planemap import PlaneMap
 from lscan.config.plugins import find_plugin
 from lscan.config.rig import StripeSection
 from lscan.figures import style
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.files.disk import packaged_table
 from lscan.paper import published as paper
 from lscan.paper.experiment import BoardResult, LinePictures

@@ -10,15 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from lscan.figures import style
-from lscan.figures.style import (
-    CELL_MM,
-    NodeHeights,
-    ReportFigure,
-    cell_for,
-    grid_heights,
-    height_range,
-    signed,
-)
+from lscan.figures.page import ReportFigure, signed
+from lscan.figures.style import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
 from lscan.paper.figures.pictures import drawn, words_of

@@ -16,7 +16,8 @@ from lscan.calibration.maps.graticule import DrawnConversion
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.figures import style
-from lscan.figures.style import cell_for, grid_heights, signed
+from lscan.figures.page import signed
+from lscan.figures.style import cell_for, grid_heights
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures

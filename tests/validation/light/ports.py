@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from lscan.figures import style
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.scene import Scene, camera_pose

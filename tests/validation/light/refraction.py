@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from lscan.figures import style
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.records import Floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.scene import Pose, Scene, camera_pose

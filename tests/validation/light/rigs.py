@@ -13,7 +13,7 @@ from lscan.config.documents import Document, merge
 from lscan.config.rig import parse_rig
 from lscan.errors import InputError
 from lscan.figures import style
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.files.disk import packaged_table
 from lscan.records import Floats, Status
 from sim.render.plugins.arrays import floats

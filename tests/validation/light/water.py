@@ -13,7 +13,7 @@ import numpy as np
 from scipy.integrate import simpson
 
 from lscan.figures import style
-from lscan.figures.style import ReportFigure
+from lscan.figures.page import ReportFigure
 from lscan.records import Floats
 from lscan.water.index import absolute_index, air_index, iapws_index
 from sim.render.spreads import make_spread, plane_crossings
