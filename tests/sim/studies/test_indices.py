@@ -10,7 +10,7 @@ from SALib.analyze import sobol
 from lscan.records import Floats
 from sim.studies.indices import Bounded, Indices, moments, next_base, sobol_indices
 from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed
-from sim.studies.testfunctions import ClosedForm, ishigami, sobol_g
+from sim.validation.study.coverage import ClosedForm, ishigami, sobol_g
 
 SCALAR = (Output("error", "mm"),)
 BASE = 512
