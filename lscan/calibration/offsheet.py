@@ -268,7 +268,7 @@ def off_sheet(
         step, _, rank, _ = np.linalg.lstsq(jacobian, -residual / sigma, rcond=1e-12)
         if rank < 6 or not np.isfinite(step).all():
             raise MeasurementError(UNDETERMINED)
-        turn, place = rotation(step[:3]) @ turn, place + step[3:]
+        turn, place = rotation(np.asarray(step[:3], dtype=float)) @ turn, place + step[3:]
         largest_step = float(np.abs(step).max())
     else:
         raise MeasurementError(UNDETERMINED)

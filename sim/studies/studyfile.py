@@ -50,6 +50,10 @@ class Distribution(Strict):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
+        self._require_one_kind()
+        return self
+
+    def _require_one_kind(self) -> None:
         if sum(getattr(self, kind) is not None for kind in KINDS) != 1:
             raise ValueError(f"exactly one of {', '.join(KINDS)} says how the number is spread")
         for kind in ("normal", "lognormal"):
@@ -62,7 +66,6 @@ class Distribution(Strict):
             raise ValueError("triangular: lower end, mode and upper end must rise")
         if self.weights is not None and len(self.weights) != len(self.values or ()):
             raise ValueError("weights goes with values, one for each of them")
-        return self
 
     @property
     def kind(self) -> str:
@@ -216,15 +219,13 @@ class Cause(VaryingNumber):
     group: str | None = None
     cost: PositiveFloat = 1.0
 
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
+    def _require_one_kind(self) -> None:
         if self.when != "noise":
-            return super()._one_kind()
-        if self.key not in NOISES:
+            super()._require_one_kind()
+        elif self.key not in NOISES:
             raise ValueError(f"noise is one of {', '.join(NOISES)}")
-        if any(getattr(self, name) is not None for name in (*KINDS, "weights")):
+        elif any(getattr(self, name) is not None for name in (*KINDS, "weights")):
             raise ValueError(f"noise takes no distribution, the scene says how much ({self.key})")
-        return self
 
     @model_validator(mode="after")
     def _each_frames_own(self) -> Self:
@@ -232,7 +233,7 @@ class Cause(VaryingNumber):
             raise ValueError("each-frame is one of normal, uniform, values")
         if self.when == "each-frame" and self.mean != 0 and self.values is None:
             raise ValueError("each-frame: what is new in every picture is about 0")
-        if self.correlation > 0 and self.when != "each-frame":
+        if self.correlation > 0 and self.when not in ("each-frame", "noise"):
             raise ValueError('correlation goes with when = "each-frame" only')
         return self
 

@@ -366,8 +366,7 @@ def surface_to_turn(xyz_mm: Floats, waves: Mask) -> ReportFigure:
     trace, scene = figure["trace"], figure["layout"]["scene"]
     # To a hundredth of a millimetre, None where there is no value.
     for axis, values in places.items():
-        rounded = np.round(values.astype(float), 2)
-        trace[axis] = np.where(np.isfinite(rounded), rounded, None).tolist()
+        trace[axis] = np.ma.masked_invalid(np.round(values, 2)).tolist()
     trace["cmin"], trace["cmax"] = height_range(xyz_mm[waves])
     steps = np.linspace(0, 1, len(style.HEIGHT_COLOURS)).tolist()
     trace["colorscale"] = list(zip(steps, style.HEIGHT_COLOURS, strict=True))
