@@ -157,6 +157,7 @@ CAMERA_SIGMA_MM = 10.0  # of camera_mm, each coordinate: [sheet] is measured by 
 FEWEST_MARKS = 6
 TURNS = 30
 CONVERGED = 1e-10  # of the last step, in mm and in radians
+UNDETERMINED = "the marks do not determine how far the board is from the sheet"
 
 
 @dataclass(frozen=True)
@@ -250,66 +251,75 @@ def off_sheet(
         )
     middle = corners_mm.mean(axis=0)
     points, sight = select(points, used), select(sight, used)
-    sought = SheetMarks(_in_space(board_mm[used] - middle), points.xz_mm, sight.slope)
+    board, corners = _in_space(board_mm[used] - middle), _in_space(corners_mm - middle)
     sigma = _own_sigma(points)
-    pose = _solve(sought, _start(sought), sigma)
-    jacobian = sought.jacobian(pose) / sigma[:, None]
-    residual = sought.residual(pose)
+    # From the board in the sheet, by the steps of Gauss and Newton.
+    flat = closest_motion(board[:, [0, 2]], points.xz_mm)
+    (shift,) = flat.apply(np.zeros((1, 2)))
+    place = np.array([shift[0], 0.0, shift[1]])
+    turn = rotation(np.array([0.0, -flat.turn_rad, 0.0]))  # from x to z is left-handed about y
+    largest_step = np.inf
+    for _ in range(TURNS):
+        arm = board @ turn.T
+        residual, jacobian = _sheet_residuals(arm, place, points.xz_mm, sight.slope)
+        jacobian /= sigma[:, None]
+        if largest_step < CONVERGED:
+            break
+        step, _, rank, _ = np.linalg.lstsq(jacobian, -residual / sigma, rcond=1e-12)
+        if rank < 6 or not np.isfinite(step).all():
+            raise MeasurementError(UNDETERMINED)
+        turn, place = rotation(np.asarray(step[:3], dtype=float)) @ turn, place + step[3:]
+        largest_step = float(np.abs(step).max())
+    else:
+        raise MeasurementError(UNDETERMINED)
     weighted = residual / sigma
     scale = np.sqrt(max(1.0, float(weighted @ weighted) / (len(weighted) - 6)))
     inverse = np.linalg.pinv(jacobian)
     own = scale * np.linalg.qr(inverse.T)[1].T
-    common = inverse @ (_common(points, sight, sought, pose) / sigma[:, None])
-    root = np.hstack([own, common])  # root @ root.T is the covariance of the six parameters
+    # By how much one standard deviation of each common error moves the residuals.
+    common = -sight.modes * (arm + place)[:, 1, None, None]
+    if points.modes_mm is not None:
+        common = np.concatenate([common, -points.modes_mm], axis=2)
+    of_common = inverse @ (common.reshape(len(sigma), -1) / sigma[:, None])
+    root = np.hstack([own, of_common])  # root @ root.T is the covariance of the six parameters
+    spread = np.linalg.norm(root, axis=1)
+    to_corners, normal = corners @ turn.T, turn[:, 1]
+    along = np.zeros((4, 6))  # y of w x r, and of t
+    along[:, 0], along[:, 2], along[:, 4] = -to_corners[:, 2], to_corners[:, 0], 1.0
     whole = np.full_like(board_mm, np.nan)
     whole[used] = residual.reshape(-1, 2)
-    return _answer(pose, root, _in_space(corners_mm - middle), whole)
-
-
-@dataclass(frozen=True)
-class BoardPose:
-    """turn: (3, 3) of the board's axes into the map's.  place_mm: (3,) of its middle."""
-
-    turn: Floats
-    place_mm: Floats
-
-    def apply(self, board_mm: Floats) -> Floats:
-        """(N, 3) in the map's frame, of points (N, 3) about the board's middle."""
-        return board_mm @ self.turn.T + self.place_mm
-
-    def moved(self, step: Floats) -> "BoardPose":
-        """After a small rotation (3,) in radians and a shift (3,) in mm."""
-        return BoardPose(rotation(step[:3]) @ self.turn, self.place_mm + step[3:])
-
-
-@dataclass(frozen=True)
-class SheetMarks:
-    """board: (N, 3) about the board's middle.  seen: (N, 2) M.  slope: (N, 2) s."""
-
-    board: Floats
-    seen: Floats
-    slope: Floats
-
-    def residual(self, pose: BoardPose) -> Floats:
-        """(2N,) mm, where the pose puts the marks in the sheet less where they are seen."""
-        x = pose.apply(self.board)
-        return (x[:, [0, 2]] - self.slope * x[:, 1:2] - self.seen).ravel()
-
-    def jacobian(self, pose: BoardPose) -> Floats:
-        """(2N, 6) of the residuals by the step of :meth:`BoardPose.moved`, at none.
-
-        A small rotation w moves the arm r by w x r, that is by -[r]x w.
-        """
-        arm = self.board @ pose.turn.T
-        by_place = np.zeros((len(arm), 2, 3))
-        by_place[:, 0, 0] = by_place[:, 1, 2] = 1.0
-        by_place[:, :, 1] = -self.slope
-        by_turn = np.cross(arm[:, None, :], by_place)  # p . (w x r) = w . (r x p)
-        return np.concatenate([by_turn, by_place], axis=2).reshape(-1, 6)
+    return OffSheet(
+        distance_mm=float(place[1]),
+        distance_sigma_mm=float(spread[4]),
+        tilt_x_rad=float(np.arctan2(normal[2], normal[1])),
+        tilt_x_sigma_rad=float(spread[0]),
+        tilt_z_rad=float(np.arctan2(-normal[0], normal[1])),
+        tilt_z_sigma_rad=float(spread[2]),
+        corners_mm=to_corners[:, 1] + place[1],
+        corners_sigma_mm=np.linalg.norm(along @ root, axis=1),
+        residual_mm=whole,
+    )
 
 
 def _in_space(xz_mm: Floats) -> Floats:
     return np.column_stack([xz_mm[:, 0], np.zeros(len(xz_mm)), xz_mm[:, 1]])
+
+
+def _sheet_residuals(
+    arm: Floats, place: Floats, seen: Floats, slope: Floats
+) -> tuple[Floats, Floats]:
+    """(2N,) mm where marks appear in the sheet less where they are seen, and its Jacobian (2N, 6).
+
+    Marks at the board's middle, ``place``, and its arms (N, 3) beyond.  The Jacobian is by a small
+    rotation w, which moves the arm r by w x r, that is by -[r]x w, and by a shift.
+    """
+    x = arm + place
+    by_place = np.zeros((len(arm), 2, 3))
+    by_place[:, 0, 0] = by_place[:, 1, 2] = 1.0
+    by_place[:, :, 1] = -slope
+    by_turn = np.cross(arm[:, None, :], by_place)  # p . (w x r) = w . (r x p)
+    jacobian = np.concatenate([by_turn, by_place], axis=2).reshape(-1, 6)
+    return (x[:, [0, 2]] - slope * x[:, 1:2] - seen).ravel(), jacobian
 
 
 def _own_sigma(points: PlanePoints) -> Floats:
@@ -320,55 +330,3 @@ def _own_sigma(points: PlanePoints) -> Floats:
         variance = np.maximum(own, 1e-6 * variance)
     # A map may state none at all: then all marks count alike.
     return np.sqrt(np.where(variance > 0, variance, 1.0)).ravel()
-
-
-def _start(marks: SheetMarks) -> BoardPose:
-    """The board in the sheet: the plane's rotation and shift of least squares, closed form."""
-    moved = closest_motion(marks.board[:, [0, 2]], marks.seen)
-    # From x to z is a left-handed turn about y.
-    about_y = rotation(np.array([0.0, -moved.turn_rad, 0.0]))
-    shift = moved.apply(np.zeros((1, 2)))[0]
-    return BoardPose(about_y, np.array([shift[0], 0.0, shift[1]]))
-
-
-def _solve(marks: SheetMarks, pose: BoardPose, sigma: Floats) -> BoardPose:
-    """Gauss and Newton's steps to the pose of least squares."""
-    for _ in range(TURNS):
-        jacobian = marks.jacobian(pose) / sigma[:, None]
-        step, _, rank, _ = np.linalg.lstsq(jacobian, -marks.residual(pose) / sigma, rcond=1e-12)
-        if rank < 6 or not np.isfinite(step).all():
-            break
-        pose = pose.moved(np.asarray(step, dtype=np.float64))
-        if np.abs(step).max() < CONVERGED:
-            return pose
-    raise MeasurementError("the marks do not determine how far the board is from the sheet")
-
-
-def _common(points: PlanePoints, sight: LinesOfSight, marks: SheetMarks, pose: BoardPose) -> Floats:
-    """(2N, K) mm by which one standard deviation of each common error moves the residuals."""
-    behind = pose.apply(marks.board)[:, 1]
-    parts = [-sight.modes * behind[:, None, None]]
-    if points.modes_mm is not None:
-        parts.append(-points.modes_mm)
-    together = np.concatenate(parts, axis=2)
-    return together.reshape(-1, together.shape[2])
-
-
-def _answer(pose: BoardPose, root: Floats, corners: Floats, residual_mm: Floats) -> OffSheet:
-    """The pose as distances and tilts, and the uncertainties of these."""
-    arm = corners @ pose.turn.T
-    along = np.zeros((4, 6))
-    along[:, 0], along[:, 2], along[:, 4] = -arm[:, 2], arm[:, 0], 1.0  # y of w x r, and of t
-    normal = pose.turn[:, 1]
-    spread = np.linalg.norm(root, axis=1)
-    return OffSheet(
-        distance_mm=float(pose.place_mm[1]),
-        distance_sigma_mm=float(spread[4]),
-        tilt_x_rad=float(np.arctan2(normal[2], normal[1])),
-        tilt_x_sigma_rad=float(spread[0]),
-        tilt_z_rad=float(np.arctan2(-normal[0], normal[1])),
-        tilt_z_sigma_rad=float(spread[2]),
-        corners_mm=pose.apply(corners)[:, 1],
-        corners_sigma_mm=np.linalg.norm(along @ root, axis=1),
-        residual_mm=residual_mm,
-    )

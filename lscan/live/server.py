@@ -23,6 +23,7 @@ import uvicorn
 from pydantic import Field, StrictBool
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import (
     FileResponse,
@@ -79,7 +80,8 @@ class Access:
         if self.host in EVERYWHERE:
             names = (*machine_numbers(EVERYWHERE[self.host]), socket.gethostname())
         query = f"/?token={self.token}" if self.token else "/"
-        return tuple(f"http://{_bracketed(name)}:{self.port}{query}" for name in names)
+        hosts = (f"[{name}]" if ":" in name else name for name in names)
+        return tuple(f"http://{host}:{self.port}{query}" for host in hosts)
 
     @property
     def remark(self) -> str:
@@ -195,10 +197,6 @@ def machine_numbers(families: Iterable[socket.AddressFamily]) -> tuple[str, ...]
     return tuple(found)
 
 
-def _bracketed(name: str) -> str:
-    return f"[{name}]" if ":" in name else name
-
-
 def _is_address(name: str) -> bool:
     try:
         ip_address(name)
@@ -265,8 +263,7 @@ class AccessMiddleware:
 
         async def send_safely(message: Message) -> None:
             if message["type"] == "http.response.start":
-                extra = [(k.lower().encode(), v.encode()) for k, v in headers.items()]
-                message = {**message, "headers": [*message["headers"], *extra]}
+                MutableHeaders(scope=message).update(headers)
             await send(message)
 
         await inner(scope, receive, send_safely)
@@ -330,12 +327,11 @@ def page_files(folder: Path = FOLDER) -> dict[str, tuple[Path, str]]:
     index.html of ``folder`` is "/", every other "/live/NAME"; hidden files, folders and what
     is of none of KINDS are left out.
     """
-    found = {}
-    for file in sorted(folder.iterdir()):
-        if file.is_file() and file.suffix in KINDS and not file.name.startswith("."):
-            path = "/" if file.name == "index.html" else f"/live/{file.name}"
-            found[path] = (file, KINDS[file.suffix])
-    return found
+    return {
+        "/" if file.name == "index.html" else f"/live/{file.name}": (file, KINDS[file.suffix])
+        for file in sorted(folder.iterdir())
+        if file.is_file() and file.suffix in KINDS and not file.name.startswith(".")
+    }
 
 
 # The live page over HTTP: files, pictures by long poll, state and commands.

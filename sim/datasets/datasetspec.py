@@ -23,14 +23,14 @@ from sim.devices import load_checked
 from sim.scene import Scene
 from sim.scene.instrument import Seed
 from sim.scene.varying import ChangingKey, number_at, with_numbers
-from sim.studies.studyfile import Distribution
+from sim.studies.studyfile import VaryingNumber
 
 POSITION = "plan.position_mm"  # of the head along the track, which is no number of the scene
 EACH_PICTURE = frozenset((*get_args(ChangingKey), POSITION))
 USUAL = 0.05, 0.95  # quantiles that are tried before anything is rendered
 
 
-class Drawn(Distribution):
+class Drawn(VaryingNumber):
     """A number of the scene that is drawn from a distribution.
 
     key: dotted, of section and field, as that of a study's cause; ``plan.position_mm`` is where
@@ -38,32 +38,10 @@ class Drawn(Distribution):
     that is added.  with: other keys and their values, wherever this one is drawn.
     """
 
-    key: str
-    off: bool = False
-    relative: bool = False
-    together: Annotated[dict[str, float], Field(alias="with", default_factory=dict)]
-
-    @model_validator(mode="after")
-    def _one_way(self) -> Self:
-        if self.off and self.relative:
-            raise ValueError("off and relative exclude each other")
-        return self
-
     @property
     def each_picture(self) -> bool:
         """Whether it is new in each picture; else in each tank, as its geometry or water is."""
         return {self.key, *self.together} <= EACH_PICTURE
-
-    def number(self, share: float, own: float) -> float:
-        """The number at a quantile.
-
-        Parameters
-        ----------
-        share : float, in (0, 1)
-        own : float, the scene's own number
-        """
-        drawn = self.quantile(share)
-        return own + drawn if self.off else own * (1 + drawn) if self.relative else drawn
 
 
 class DatasetFile(Strict):

@@ -1,8 +1,9 @@
 """A study file: which rig, what varies, and when."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import sqrt
+from math import exp, expm1, sqrt
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
@@ -49,6 +50,10 @@ class Distribution(Strict):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
+        self._require_one_kind()
+        return self
+
+    def _require_one_kind(self) -> None:
         if sum(getattr(self, kind) is not None for kind in KINDS) != 1:
             raise ValueError(f"exactly one of {', '.join(KINDS)} says how the number is spread")
         for kind in ("normal", "lognormal"):
@@ -61,7 +66,6 @@ class Distribution(Strict):
             raise ValueError("triangular: lower end, mode and upper end must rise")
         if self.weights is not None and len(self.weights) != len(self.values or ()):
             raise ValueError("weights goes with values, one for each of them")
-        return self
 
     @property
     def kind(self) -> str:
@@ -85,75 +89,104 @@ class Distribution(Strict):
         ----------
         share : float, in (0, 1)
         """
-        if self.fixed is not None:
-            return self.fixed
-        if self.normal is not None:
-            return self.normal[0] + self.normal[1] * float(ndtri(share))
-        if self.uniform is not None:
-            return self.uniform[0] + (self.uniform[1] - self.uniform[0]) * share
-        if self.lognormal is not None:
-            return self.lognormal[0] * float(np.exp(self.lognormal[1] * ndtri(share)))
-        if self.triangular is not None:
-            return _triangular(*self.triangular, share)
-        values = self.values or ()
-        odds = np.cumsum(self.weights or np.ones(len(values)))
-        return values[int(np.searchsorted(odds[:-1] / odds[-1], share, side="right"))]
+        return float(self._law[0](share))
 
     @property
     def mean(self) -> float:
         """The expected number."""
-        if self.fixed is not None:
-            return self.fixed
-        if self.normal is not None:
-            return self.normal[0]
-        if self.lognormal is not None:
-            return self.lognormal[0] * float(np.exp(self.lognormal[1] ** 2 / 2))
-        if self.values is not None:
-            return float(np.average(self.values, weights=self.weights))
-        return float(np.mean(self.uniform or self.triangular or ()))
+        return float(self._law[1])
 
     @property
     def deviation(self) -> float:
         """The standard deviation of the number."""
-        if self.normal is not None:
-            return self.normal[1]
-        if self.uniform is not None:
-            return (self.uniform[1] - self.uniform[0]) / sqrt(12)
-        if self.triangular is not None:
-            a, c, b = self.triangular
-            return sqrt(((a - b) ** 2 + (b - c) ** 2 + (c - a) ** 2) / 36)  # never below 0
-        if self.lognormal is not None:
-            return self.mean * sqrt(float(np.expm1(self.lognormal[1] ** 2)))
-        if self.values is not None:
-            off = np.array(self.values) - self.mean
-            return sqrt(float(np.average(off**2, weights=self.weights)))
-        return 0.0
+        return float(self._law[2])
 
-    def scaled(self, factor: float) -> "Distribution":
+    @property
+    def _law(self) -> tuple[Callable[[float], float], float, float]:
+        """The quantiles, the mean and the standard deviation; without a spread, all are one."""
+        if self.normal is not None:
+            middle, sigma = self.normal
+            return lambda share: middle + sigma * ndtri(share), middle, sigma
+        if self.uniform is not None:
+            low, high = self.uniform
+            width = high - low
+            return lambda share: low + width * share, (low + high) / 2, width / sqrt(12)
+        if self.triangular is not None:
+            low, mode, high = self.triangular
+            sides = low - mode, mode - high, high - low
+
+            def triangular(share: float) -> float:
+                if share * (high - low) < mode - low:
+                    return low + sqrt(share * (high - low) * (mode - low))
+                return high - sqrt((1 - share) * (high - low) * (high - mode))
+
+            return triangular, sum(self.triangular) / 3, sqrt(sum(a**2 for a in sides) / 36)
+        if self.lognormal is not None:
+            median, sigma = self.lognormal
+            mean = median * exp(sigma**2 / 2)
+            spread = mean * sqrt(expm1(sigma**2))
+            return lambda share: median * exp(sigma * ndtri(share)), mean, spread
+        if self.values is not None:
+            values, weights = np.array(self.values), self.weights or np.ones(len(self.values))
+            odds = np.cumsum(weights)
+            edges = odds[:-1] / odds[-1]
+            mean = float(np.average(values, weights=weights))
+            spread = sqrt(np.average((values - mean) ** 2, weights=weights))
+            return lambda share: values[np.searchsorted(edges, share, side="right")], mean, spread
+        fixed = self.fixed or 0.0
+        return lambda _: fixed, fixed, 0.0
+
+    def scaled(self, factor: float) -> Self:
         """The same distribution, drawn in to its middle by a factor.
 
         Parameters
         ----------
         factor : float, of all deviations from the mean (of a log-normal one: from the median)
         """
-        if self.normal is not None:
-            return Distribution(normal=(self.normal[0], factor * self.normal[1]))
-        if self.lognormal is not None:
-            return Distribution(lognormal=(self.lognormal[0], factor * self.lognormal[1]))
+        pair = self.normal or self.lognormal
         numbers = self.uniform or self.triangular or self.values
-        if numbers is None:
-            return self
-        drawn = tuple(self.mean + factor * (number - self.mean) for number in numbers)
-        return Distribution.model_validate({**self.model_dump(exclude_none=True), self.kind: drawn})
+        if pair:
+            return self.model_copy(update={self.kind: (pair[0], factor * pair[1])})
+        if numbers:
+            mean = self.mean
+            drawn = tuple(mean + factor * (number - mean) for number in numbers)
+            return self.model_copy(update={self.kind: drawn})
+        return self
 
 
-def _triangular(low: float, mode: float, high: float, share: float) -> float:
-    if high == low:
-        return low
-    turn = (mode - low) / (high - low)
-    if share < turn:
-        return low + sqrt(share * (high - low) * (mode - low))
-    return high - sqrt((1 - share) * (high - low) * (high - mode))
+class _Keyed(Strict):
+    """What has a key; its field comes before those of how the number is distributed."""
+
+    key: str
+
+
+class VaryingNumber(Distribution, _Keyed):
+    """A number of the scene that is drawn from a distribution.
+
+    key: dotted, of section and field.  off: the number is added to the scene's own; relative: it is
+    the share of it that is added.  with: other keys and their values, wherever this one varies.
+    """
+
+    off: bool = False
+    relative: bool = False
+    together: Annotated[dict[str, float], Field(alias="with", default_factory=dict)]
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if self.off and self.relative:
+            raise ValueError("off and relative exclude each other")
+        return self
+
+    def number(self, share: float, own: float) -> float:
+        """The number at a quantile.
+
+        Parameters
+        ----------
+        share : float, in (0, 1)
+        own : float, the scene's own number
+        """
+        drawn = self.quantile(share)
+        return own + drawn if self.off else own * (1 + drawn) if self.relative else drawn
 
 
 # A study file: which rig, what varies, and when.
@@ -164,7 +197,7 @@ Tier = Literal["geometric", "rendered", "both"]
 NOISES = ("sensor.noise", "sensor.speckle")
 
 
-class Cause(Strict):
+class Cause(VaryingNumber):
     """One number of the rig that is not what the instrument takes it for.
 
     key: dotted, of the scene's section and field, such as ``water.salinity_psu`` or
@@ -181,74 +214,38 @@ class Cause(Strict):
     in any currency; where one cause states it, tolerances are weighted by it.
     """
 
-    key: str
     when: When
-    fixed: float | None = None
-    normal: tuple[float, float] | None = None
-    uniform: tuple[float, float] | None = None
-    triangular: tuple[float, float, float] | None = None
-    lognormal: tuple[PositiveFloat, float] | None = None
-    values: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
-    weights: tuple[PositiveFloat, ...] | None = None
-    off: bool = False
-    relative: bool = False
     correlation: Annotated[float, Field(ge=0, le=1000)] = 0.0
-    together: Annotated[dict[str, float], Field(alias="with", default_factory=dict)]
     group: str | None = None
     cost: PositiveFloat = 1.0
 
+    def _require_one_kind(self) -> None:
+        if self.when != "noise":
+            super()._require_one_kind()
+        elif self.key not in NOISES:
+            raise ValueError(f"noise is one of {', '.join(NOISES)}")
+        elif any(getattr(self, name) is not None for name in (*KINDS, "weights")):
+            raise ValueError(f"noise takes no distribution, the scene says how much ({self.key})")
+
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        if self.when == "noise":
-            if self.key not in NOISES:
-                raise ValueError(f"noise is one of {', '.join(NOISES)}")
-            if self._stated:
-                raise ValueError(
-                    f"noise takes no distribution, the scene says how much ({self.key})"
-                )
-            return self
-        kind = self.distribution.kind  # refuses more or less than one
-        if self.when == "each-frame" and kind not in ("normal", "uniform", "values"):
+    def _each_frames_own(self) -> Self:
+        if self.when == "each-frame" and self.kind not in ("normal", "uniform", "values"):
             raise ValueError("each-frame is one of normal, uniform, values")
-        if self.when == "each-frame" and self.distribution.mean != 0 and self.values is None:
+        if self.when == "each-frame" and self.mean != 0 and self.values is None:
             raise ValueError("each-frame: what is new in every picture is about 0")
-        if self.off and self.relative:
-            raise ValueError("off and relative exclude each other")
-        if self.correlation > 0 and self.when != "each-frame":
+        if self.correlation > 0 and self.when not in ("each-frame", "noise"):
             raise ValueError('correlation goes with when = "each-frame" only')
         return self
-
-    @property
-    def _stated(self) -> dict[str, object]:
-        names = (*KINDS, "weights")
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-
-    @property
-    def distribution(self) -> Distribution:
-        """How the number is distributed; of noise, nothing is."""
-        stated = {"fixed": 0.0} if self.when == "noise" else self._stated
-        return Distribution.model_validate(stated)
 
     @property
     def in_words(self) -> str:
         """The distribution as a page shows it, such as ``normal 0 ± 0.01, added``."""
         if self.when == "noise":
             return "the scene's own"
-        words = self.distribution.in_words
+        words = super().in_words
         if self.off or self.relative or self.when == "each-frame":
             words += " of it, relative" if self.relative else ", added"
         return words
-
-    def number(self, share: float, own: float) -> float:
-        """The number at a quantile.
-
-        Parameters
-        ----------
-        share : float, in (0, 1)
-        own : float, the scene's own number
-        """
-        drawn = self.distribution.quantile(share)
-        return own + drawn if self.off else own * (1 + drawn) if self.relative else drawn
 
 
 class Correlation(Strict):

@@ -324,7 +324,7 @@ def with_spreads(file: StudyFile, document: dict[str, Any], factors: Mapping[str
     """
     causes = dict(document["cause"])
     for name, factor in factors.items():
-        drawn = file.cause[name].distribution.scaled(factor)
+        drawn = file.cause[name].scaled(factor)
         causes[name] = {**causes[name], drawn.kind: getattr(drawn, drawn.kind)}
     return {**document, "cause": causes}
 
@@ -342,7 +342,7 @@ def find_tolerances(
         missing, negative or not a number the least share is taken.  They count with costs only.
     sizes : callable, that runs rigs whose causes have these factors
     """
-    loose = {name: one for name, one in file.cause.items() if one.distribution.deviation > 0}
+    loose = {name: one for name, one in file.cause.items() if one.deviation > 0}
     weights = _weights(loose, shares)
     rows = make_design(tuple(file.cause), RIGS, 0, file.seed).blocks[ALL]
 
@@ -457,9 +457,7 @@ def _share(kept: Mask) -> Bounded:
 def _tolerance(name: str, cause: Cause, factor: float | None) -> Tolerance:
     if factor is None:
         return Tolerance(name, cause.in_words, None, None)
-    drawn = cause.distribution.scaled(factor)
-    scaled = cause.model_copy(update={drawn.kind: getattr(drawn, drawn.kind)})
-    return Tolerance(name, cause.in_words, scaled.in_words, factor)
+    return Tolerance(name, cause.in_words, cause.scaled(factor).in_words, factor)
 
 
 def _note(bound: Bound, floor: float, factors: Mapping[str, float], allowed: float | None) -> str:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from itertools import cycle, product
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -342,14 +342,9 @@ def _gaps(cut: Slice, skipped: int) -> str:
 # The surface to turn with the mouse: what Plotly draws, and from where it looks.
 
 
-BOX_ASPECT, SCENE_SHARE = 4 / 3, 0.83
-"""Width over height of the box on the page, and the share of its height above the colour bar."""
-ASPECT = BOX_ASPECT / SCENE_SHARE
-"""Width over height of what the eye sees."""
-VIEW_ANGLE_RAD = np.pi / 4
-"""Plotly's perspective, from the upper to the lower edge."""
-_TOWARDS = np.array([-0.75, -1.6, 1.0])  # from the surface's middle to the eye
-_ROOM = 1.15  # for the names of the axes around the surface
+# From the surface's middle to the eye, in diagonals of its box: so far away Plotly, whose picture
+# spans 45 degrees from its upper to its lower edge, shows the whole sphere about the box.
+_EYE = np.array([-0.75, -1.6, 1.0]) / np.linalg.norm([-0.75, -1.6, 1.0]) / (2 * np.sin(np.pi / 8))
 
 
 def surface_to_turn(xyz_mm: Floats, waves: Mask) -> ReportFigure:
@@ -359,58 +354,27 @@ def surface_to_turn(xyz_mm: Floats, waves: Mask) -> ReportFigure:
     """
     cell = cell_for(xyz_mm, CELL_MM)
     grid = grid_heights(xyz_mm, cell)
-    colours = height_range(xyz_mm[waves])
-    words = words_of("interactive", cell=cell)
-    box = f'<div id="surface" style="aspect-ratio: {BOX_ASPECT:.4g}" role="img" '
-    box += f'aria-label="{words["alt"]}"></div>'
-    return ReportFigure(**words, body=box, script=_plotly_call(grid, colours))
-
-
-def start_eye(sides: Floats) -> Floats:
-    """(3,) the nearest eye in the start direction that sees a whole box of ``sides`` (3,).
-
-    The box is centred on the origin and the eye looks there, z up, through a picture of
-    ``ASPECT``.
-    """
-    forward = -_TOWARDS / np.linalg.norm(_TOWARDS)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * sides
-    half = np.tan(VIEW_ANGLE_RAD / 2)
-    # A corner is in view where its offset is at most its distance ahead times the half angle's
-    # tangent: distance + corner . forward >= offset / tangent.
-    across = np.abs(corners @ right) / (half * ASPECT)
-    along = np.abs(corners @ np.cross(right, forward)) / half
-    distance = (np.maximum(across, along) - corners @ forward).max()
-    return -forward * distance * _ROOM
-
-
-def _plotly_call(grid: NodeHeights, colours_mm: tuple[float, float]) -> str:
-    """The call that draws: axes true to scale, their ranges those of the surface, and the eye."""
+    places = {"x": grid.x_mm, "y": grid.y_mm, "z": grid.z_mm}
     figure = packaged_table("lscan.paper.figures", "plotly.toml")
-    low, high = colours_mm
+    trace, scene = figure["trace"], figure["layout"]["scene"]
+    # To a hundredth of a millimetre, None where there is no value.
+    for axis, values in places.items():
+        trace[axis] = np.ma.masked_invalid(np.round(values, 2)).tolist()
+    trace["cmin"], trace["cmax"] = height_range(xyz_mm[waves])
     steps = np.linspace(0, 1, len(style.HEIGHT_COLOURS)).tolist()
-    heights = [_numbers(row) for row in grid.z_mm]
-    figure["trace"] |= {"x": _numbers(grid.x_mm), "y": _numbers(grid.y_mm), "z": heights}
-    figure["trace"] |= {"cmin": low, "cmax": high}
-    figure["trace"]["colorscale"] = list(zip(steps, style.HEIGHT_COLOURS, strict=True))
-    ends = [
-        [float(np.nanmin(values)), float(np.nanmax(values))]
-        for values in (grid.x_mm, grid.y_mm, grid.z_mm)
-    ]
-    sides = np.diff(ends)[:, 0]
+    trace["colorscale"] = list(zip(steps, style.HEIGHT_COLOURS, strict=True))
+    # True to scale, and no farther than the surface goes.
+    ends = np.array([[np.nanmin(values), np.nanmax(values)] for values in places.values()])
+    sides = np.ptp(ends, axis=1)
     sides = np.maximum(sides / sides.max(), 1e-3)  # a surface may be flat
-    scene = figure["layout"]["scene"]
-    for axis, values in zip("xyz", ends, strict=True):
-        scene[f"{axis}axis"]["range"] = values
-    scene["domain"] = {"y": [1 - SCENE_SHARE, 1]}
-    scene["aspectratio"] = dict(zip("xyz", sides.tolist(), strict=True))
-    scene["camera"] = {"eye": dict(zip("xyz", start_eye(sides).tolist(), strict=True))}
-    parts = ([figure["trace"]], figure["layout"], figure["config"])
+    for axis, pair in zip(places, ends.tolist(), strict=True):
+        scene[f"{axis}axis"]["range"] = pair
+    scene["aspectratio"] = dict(zip(places, sides.tolist(), strict=True))
+    eye = np.linalg.norm(sides) * _EYE
+    scene["camera"] = {"eye": dict(zip(places, eye.tolist(), strict=True))}
+    words = words_of("interactive", cell=cell)
+    box = f'<div id="surface" role="img" aria-label="{words["alt"]}"></div>'
+    parts = ([trace], figure["layout"], figure["config"])
     written = ", ".join(json.dumps(part, allow_nan=False) for part in parts)
-    return f'Plotly.newPlot("surface", {written});'
-
-
-def _numbers(values: Floats) -> list[float | None]:
-    """Values to a hundredth of a millimetre, None where there is none."""
-    return [round(float(v), 2) if np.isfinite(v) else None for v in values]
+    script = f'Plotly.newPlot("surface", {written});'
+    return ReportFigure(**words, body=box, script=script)

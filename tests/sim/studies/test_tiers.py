@@ -32,10 +32,16 @@ from sim.studies.rig.prepared import Prepared, prepare
 from sim.studies.run.running import StudyOptions
 from sim.studies.study import RENDERED_RUNS, run_study
 from sim.studies.studyfile import Study, study_of
-from sim.studies.testfunctions import ClosedForm, ishigami, nearly_linear
 from sim.studies.tiers import large_causes, padded, paired, rendered_design, tier_rows
 from tests.validation.light.gallery import shrunk
-from tests.validation.studies.coverage import SLOPES, coverage, two_tier_pairs
+from tests.validation.studies.coverage import (
+    SLOPES,
+    ClosedForm,
+    coverage,
+    ishigami,
+    nearly_linear,
+    two_tier_pairs,
+)
 from tests.validation.studies.tiers import tier_rows as contribution_rows
 
 PAIRS = dict(zip(("ishigami", "linear"), two_tier_pairs(), strict=True))

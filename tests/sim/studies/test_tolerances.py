@@ -62,15 +62,14 @@ class LinearRigs:
         self.calls += 1
         found = np.full(len(rows), self.mean)
         for column, (name, cause) in zip(rows.T, self.file.cause.items(), strict=True):
-            sigma = self.noise if cause.when == "noise" else cause.distribution.deviation
+            sigma = self.noise if cause.when == "noise" else cause.deviation
             found += factors.get(name, 1.0) * sigma * ndtri(column)
         return np.abs(found)
 
     def sigma(self, found: Tolerances) -> float:
         """Of the error with the tolerances found."""
         parts = [self.noise] + [
-            (cause.factor or 0.0) * self.file.cause[cause.cause].distribution.deviation
-            for cause in found.causes
+            (cause.factor or 0.0) * self.file.cause[cause.cause].deviation for cause in found.causes
         ]
         return float(np.linalg.norm(parts))
 

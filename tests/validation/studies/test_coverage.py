@@ -2,8 +2,7 @@
 
 import pytest
 
-from sim.studies.testfunctions import ClosedForm, ishigami, sobol_g
-from tests.validation.studies.coverage import coverage, coverage_rows
+from tests.validation.studies.coverage import ClosedForm, coverage, coverage_rows, ishigami, sobol_g
 
 
 @pytest.mark.slow
