@@ -284,8 +284,7 @@ def reference_seconds() -> float:
 
 # Readers of control points and plane maps judged on a suite's pictures of the calibration board.
 #
-# Each coordinate of a mark, or of a place on the sheet, counts as a column of a line does: the
-# sums
+# Each coordinate of a mark, or of a place on the sheet, counts as a column of a line does: the sums
 # are those of extractors, and so are the table and the comparison of two runs.
 
 
@@ -474,8 +473,7 @@ def coordinate_sums(
 # Whole chains judged on a suite's scans: from the board's picture to points, grooves and slices.
 #
 # Each coordinate counts as a column of a line does, as with boards: the sums are those of
-# extractors,
-# and so are the table and the comparison of two runs.
+# extractors, and so are the table and the comparison of two runs.
 
 
 CHAINS = ("paper/rig", "best/groove")

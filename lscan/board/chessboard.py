@@ -114,13 +114,11 @@ def _grown(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
 
 # Which corners in a picture are those of a chessboard: three detectors, and what judges them.
 #
-# OpenCV's two detectors differ in what they miss.  Beside slivers of further squares at the rim
-# of a
-# board the newer one may skip a row, and it draws at random.  So its numbers are drawn from one
+# OpenCV's two detectors differ in what they miss.  Beside slivers of further squares at the rim of
+# a board the newer one may skip a row, and it draws at random.  So its numbers are drawn from one
 # seed, the older one is asked where the newer one's answer is not perfect, and where neither has
-# one
-# the corners are sought from one to the next (saddles.py).  An answer counts only if the picture
-# bears it out: the steps from corner to corner are even, and the squares between the
+# one the corners are sought from one to the next (saddles.py).  An answer counts only if the
+# picture bears it out: the steps from corner to corner are even, and the squares between the
 # corners and about them are dark and bright in turn.
 
 

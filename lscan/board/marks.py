@@ -133,16 +133,15 @@ def _read_marks(
 
 # Points on the centre line of a milled circle (Figs. 18, 19), picked all around it.
 #
-# The paper picks them by hand in an enlarged picture.  Here the predicted line is crossed by
-# radial profiles, and each profile's maximum is that of a second-order polynomial, weighted by
-# a Gaussian about itself, as for the dots (centre.py), in one dimension.
+# The paper picks them by hand in an enlarged picture.  Here the predicted line is crossed by radial
+# profiles, and each profile's maximum is that of a second-order polynomial, weighted by a Gaussian
+# about itself, as for the dots (centre.py), in one dimension.
 #
 # Blur draws the ridge of a curved line inwards: a line of curvature k blurred by a Gaussian of
-# variance B falls off as exp(-d² / 2B) / sqrt(1 + k d) with the distance d outwards, whose
-# maximum lies at d = -k B / 2.  (From the blurred thin ring, exp(-(r² + R²) / 2B) I0(r R / B),
-# for R² much larger than B.)  B is read off the profiles themselves, and the points
-# are corrected for the shift.
-# The window works across the line only and along its bend, so it shifts nothing.
+# variance B falls off as exp(-d² / 2B) / sqrt(1 + k d) with the distance d outwards, whose maximum
+# lies at d = -k B / 2.  (From the blurred thin ring, exp(-(r² + R²) / 2B) I0(r R / B), for R² much
+# larger than B.)  B is read off the profiles themselves, and the points are corrected for the
+# shift. The window works across the line only and along its bend, so it shifts nothing.
 
 
 BREADTH_PX = np.array([-1.0, 0.0, 1.0])  # places along the line averaged into one profile

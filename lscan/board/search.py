@@ -385,9 +385,9 @@ def _round_ones(smooth: Image, row: Ints, column: Ints) -> tuple[Ints, Ints]:
 
 # The three first dots: a dot, the one beneath and the one to its right (Fig. 12, #1 to #3).
 #
-# The paper picks them by hand; they may be given so here too.  Otherwise the board file gives
-# how large a dot is beside the pitch, so for each size of dot a picture could show, the blobs of
-# that size are looked through for dots with a neighbour at about the pitch on all four sides.
+# The paper picks them by hand; they may be given so here too.  Otherwise the board file gives how
+# large a dot is beside the pitch, so for each size of dot a picture could show, the blobs of that
+# size are looked through for dots with a neighbour at about the pitch on all four sides.
 
 
 SMALLEST_RADIUS_PX = 1.2

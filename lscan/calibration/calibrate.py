@@ -348,10 +348,10 @@ def _rms(pairs: Floats) -> float:
 
 # How well plane maps predict marks that they have not seen.
 #
-# The marks found are dealt to folds; each fold in turn is taken off the board, the map is
-# solved from the others and judged on it.  Control points and ruler marks take part alike.
-# What a map errs by on a mark held out is mostly the noise of that mark, the same for all maps:
-# so maps are compared mark by mark, and those whose difference is not significant are called tied.
+# The marks found are dealt to folds; each fold in turn is taken off the board, the map is solved
+# from the others and judged on it.  Control points and ruler marks take part alike. What a map errs
+# by on a mark held out is mostly the noise of that mark, the same for all maps: so maps are
+# compared mark by mark, and those whose difference is not significant are called tied.
 
 
 FOLDS = 8

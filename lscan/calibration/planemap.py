@@ -234,8 +234,8 @@ def find_solver(name: str) -> NamedSolver:
 
 # Arrays and numbers as a calibration file holds them: lists of finite JSON numbers.
 #
-# The dataclasses that maps are made of use these types for their fields, so that one
-# declaration serves the program and the strict reading of its files.
+# The dataclasses that maps are made of use these types for their fields, so that one declaration
+# serves the program and the strict reading of its files.
 
 
 STRICT = ConfigDict(extra="forbid")
@@ -379,10 +379,10 @@ def check_theta(theta: dict[str, float], names: Sequence[str]) -> dict[str, floa
 
 # The covered part of the picture: where a plane map may be used.
 #
-# One rule for all maps: a pixel is covered where it lies in the convex hull of the control
-# points that the map rests on, or outside it by no more than a twentieth of the spacing of
-# neighbouring control points.  On the paper's board that margin is 2.5 mm, a dot's radius.
-# Elsewhere a map gives OUT_OF_BOARD and no number: it never extrapolates.
+# One rule for all maps: a pixel is covered where it lies in the convex hull of the control points
+# that the map rests on, or outside it by no more than a twentieth of the spacing of neighbouring
+# control points.  On the paper's board that margin is 2.5 mm, a dot's radius. Elsewhere a map gives
+# OUT_OF_BOARD and no number: it never extrapolates.
 
 
 MARGIN = 0.05  # of the spacing of neighbouring control points

@@ -210,15 +210,15 @@ def _jacobian(
 
 # The bending of rays at a flat port: Snell's law, forwards and backwards.
 #
-# A ray from the pinhole crosses air, glass and water; its sine times the index is the same in
-# each.  A point of the water, ``depth`` beyond the glass and r beside the normal through the
-# pinhole, therefore obeys (docs/explanation/physics.md, section 6; written for tangents t in air)
+# A ray from the pinhole crosses air, glass and water; its sine times the index is the same in each.
+# A point of the water, ``depth`` beyond the glass and r beside the normal through the pinhole,
+# therefore obeys (docs/explanation/physics.md, section 6; written for tangents t in air)
 #
 #     gap t + thickness T(t, glass_index) + depth T(t, water_index) = r,
 #     T(t, n) = t / sqrt(n^2 + (n^2 - 1) t^2),
 #
-# whose left side rises and is concave in t, so that Newton's method climbs to the root from
-# below without ever passing it.
+# whose left side rises and is concave in t, so that Newton's method climbs to the root from below
+# without ever passing it.
 
 
 SMALL_PORT_STEP = 1e-13  # relative to 1 + t: float64's rounding

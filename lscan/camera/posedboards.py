@@ -308,10 +308,8 @@ def rotation(vector: Floats) -> Floats:
 
 # How rays and projections change with the camera and with the poses of the boards.
 #
-# All follows from the derivatives of a pixel's ray, which have a closed form.  A point X is seen
-# at
-# a pixel p whose ray runs from o along d and reaches it after a distance s: X = o(p) + s d(p).
-# Its
+# All follows from the derivatives of a pixel's ray, which have a closed form.  A point X is seen at
+# a pixel p whose ray runs from o along d and reaches it after a distance s: X = o(p) + s d(p). Its
 # differential,
 #
 #     dX = (o_p + s d_p) dp + d ds + (o_c + s d_c) dc,

@@ -292,9 +292,9 @@ class Rig(Strict):
 
 # The rig file, read and checked: its sections, and the drivers, extractor and map it names.
 #
-# A rig file is TOML (documents.py).  Sections that belong to a driver (the tank's lens, water
-# and laser, say) may stand in the same file: each driver names the sections it owns and checks
-# them itself, so a scene file of the tank is a rig file too.
+# A rig file is TOML (documents.py).  Sections that belong to a driver (the tank's lens, water and
+# laser, say) may stand in the same file: each driver names the sections it owns and checks them
+# itself, so a scene file of the tank is a rig file too.
 
 
 @dataclass(frozen=True)

@@ -310,9 +310,8 @@ def _places(path: Path, _mtime_ns: int, _size: int) -> dict[str, Place]:
 
 # Masks as run lengths, as the data set COCO has them.
 #
-# References
-# ----------
-# Lin et al., Microsoft COCO: Common Objects in Context, ECCV 2014; its uncompressed run lengths.
+# References ---------- Lin et al., Microsoft COCO: Common Objects in Context, ECCV 2014; its
+# uncompressed run lengths.
 
 
 def run_lengths(mask: Mask) -> dict[str, Any]:

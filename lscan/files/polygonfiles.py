@@ -174,8 +174,7 @@ def _cross(a: Floats, b: Floats) -> Floats:
 # PLY, OBJ and OFF files, read as faces of any number of corners.
 #
 # InputError says what is wrong; any other error that is raised means that the content does not
-# follow
-# its format, in a way that has no words of its own.
+# follow its format, in a way that has no words of its own.
 
 
 PLY_TYPES = {

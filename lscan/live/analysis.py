@@ -325,9 +325,8 @@ def _rms_and_max(pairs: Floats) -> tuple[float, float] | None:
 
 # What goes over the wire for one picture: its figures as JSON, and the picture as JPEG.
 #
-# 4 bytes   length of the JSON, big-endian
-# JSON      UTF-8; numbers that are not known are null
-# JPEG      the picture as the camera sees it
+# 4 bytes   length of the JSON, big-endian JSON      UTF-8; numbers that are not known are null JPEG
+# the picture as the camera sees it
 
 
 JPEG_QUALITY = 80

@@ -200,10 +200,10 @@ def algebraic_ball(points_mm: Floats) -> Floats:
 
 # Features of the board measured through a plane map: distances (Table I), circles (Table II).
 #
-# Two causes of error are kept apart.  What the marks' centres in the picture miss by is each
-# mark's own.  What the map misses by displaces all marks together (PlanePoints.modes_mm): of a
-# distance only the difference at its two ends counts, of a diameter only what is left once the
-# circle has followed the shift of its points.
+# Two causes of error are kept apart.  What the marks' centres in the picture miss by is each mark's
+# own.  What the map misses by displaces all marks together (PlanePoints.modes_mm): of a distance
+# only the difference at its two ends counts, of a diameter only what is left once the circle has
+# followed the shift of its points.
 
 
 def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[str, Length]:

@@ -238,8 +238,8 @@ def _common_tilt(x: Floats, z: Floats) -> float:
 # The camera's blur draws the end of a line out over two or three columns.  Each segment's
 # brightness is a straight line, the shading of fan and lens, times that of its two ends, blurred
 # steps (stripe/blurredstep.py); all segments of a picture share one blur.  All are fitted together
-# to the columns of the picture, so that speckle, which moves single columns, is averaged over
-# the fall.
+# to the columns of the picture, so that speckle, which moves single columns, is averaged over the
+# fall.
 
 
 UNDIMMED = 0.95

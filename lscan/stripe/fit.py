@@ -496,8 +496,8 @@ _Number = TypeVar("_Number", bound=np.number)
 # Noise and misfit: how the pixels of neighbouring columns scatter about their lines.
 #
 # No laser line is quite a Gaussian.  What it differs by is much the same in the next column, and
-# noise is not.  So half the squared difference of two neighbours' residuals is the variance of
-# the noise, and their product is the square of the misfit.  Of the misfit only the odd part, of
+# noise is not.  So half the squared difference of two neighbours' residuals is the variance of the
+# noise, and their product is the square of the misfit.  Of the misfit only the odd part, of
 # opposite signs on either side of the peak, moves the centre.
 
 

@@ -227,10 +227,8 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
 # Whether a picture was compressed in blocks, as JPEG and MJPEG do, whatever file it comes in.
 #
 # No noise of single pixels holds in such a picture.  Its dark parts have none, and beside a line
-# the
-# coder leaves ripples, and colours of half the resolution, far above the noise of the flank's
-# little
-# light: a fit that trusts the camera's noise, its speckle above all, follows them.
+# the coder leaves ripples, and colours of half the resolution, far above the noise of the flank's
+# little light: a fit that trusts the camera's noise, its speckle above all, follows them.
 
 
 _BLOCK = 8  # px, of JPEG's transform

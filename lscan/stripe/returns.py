@@ -280,12 +280,10 @@ def flattened(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> 
 
 # Which line is meant where a column of the picture holds several.
 #
-# A second laser, a mirror that shows the line again, a bright speck: each draws a line or a blob
-# of its own.  Every column is cut into the spots that stand out of it (spots.py), spots of
-# neighbouring columns are linked into runs, and runs, not pixels, are chosen between.  The spots
-# of
-# the runs not chosen are then painted over, so that an extractor that looks at one column at a
-# time
+# A second laser, a mirror that shows the line again, a bright speck: each draws a line or a blob of
+# its own.  Every column is cut into the spots that stand out of it (spots.py), spots of
+# neighbouring columns are linked into runs, and runs, not pixels, are chosen between.  The spots of
+# the runs not chosen are then painted over, so that an extractor that looks at one column at a time
 # sees one line in each.  On a lit target, whose texture stands out as well, texture.py finds the
 # lines that are chosen between.
 

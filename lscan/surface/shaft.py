@@ -225,10 +225,10 @@ def stack_about(profiles: Sequence[Profile], shaft: Shaft) -> Surface:
 # What is made least is the sum of squares of the points' distances from the nominal top, each in
 # units of its own uncertainty.
 #
-# Distances of neighbours err together where something in the picture is not described (a dim
-# flank, a lens's blur), so the covariance is not that of as many independent points: scores are
-# summed over cells of the block first, and it is their scatter from cell to cell that counts (a
-# "sandwich" estimate, Huber 1967; summed over clusters, Liang and Zeger 1986).
+# Distances of neighbours err together where something in the picture is not described (a dim flank,
+# a lens's blur), so the covariance is not that of as many independent points: scores are summed
+# over cells of the block first, and it is their scatter from cell to cell that counts (a "sandwich"
+# estimate, Huber 1967; summed over clusters, Liang and Zeger 1986).
 #
 # All is of first order in the noise: on a crest of curvature k, noise s lifts the mean distance by
 # k s² / 2, which at 0.1 mm is 0.001 mm and shifts a parameter by up to 0.4 of its uncertainty.

@@ -119,25 +119,24 @@ def _rows_around(height: Floats, rows: Floats) -> Floats:
 
 # What the sheet's thickness does to a line on a smoothly curved target: a series.
 #
-# Light that falls a little before or behind the sheet's middle plane meets the target at
-# another height, and the camera, which looks at the sheet askew, sees it displaced even where
-# the target is level.  In a column of the picture, which follows the direction d = (kappa, 1)
-# in plan, light at the distance y from the middle plane appears in the sheet at the height
+# Light that falls a little before or behind the sheet's middle plane meets the target at another
+# height, and the camera, which looks at the sheet askew, sees it displaced even where the target is
+# level.  In a column of the picture, which follows the direction d = (kappa, 1) in plan, light at
+# the distance y from the middle plane appears in the sheet at the height
 #
 #     zeta(y) = h(kappa y, y) + tau y,      kappa = r_x / r_y,  tau = -r_z / r_y
 #
-# where h is the target's height about the point and r the line of sight.  A matt target lit by
-# a sheet of Gaussian irradiance, standard deviation sigma, returns c(y) exp(-y²/2 sigma²), c
-# being the cosine of incidence, and the picture stretches it by zeta'.  The centroid of
-# zeta(y) under the weight c zeta' exp(-y²/2 sigma²) is displaced, to the second order in
-# sigma, by
+# where h is the target's height about the point and r the line of sight.  A matt target lit by a
+# sheet of Gaussian irradiance, standard deviation sigma, returns c(y) exp(-y²/2 sigma²), c being
+# the cosine of incidence, and the picture stretches it by zeta'.  The centroid of zeta(y) under the
+# weight c zeta' exp(-y²/2 sigma²) is displaced, to the second order in sigma, by
 #
 #     sigma² (3/2 zeta'' + zeta' (ln c)')
 #
-# (derived here: half of zeta'' is the mean of the parabola, one zeta'' the stretching).  The
-# first term follows the concavity across the sheet, the second slope times concavity.
-# Profiles of neighbouring track positions give both, for the target stands still.  Relief as fine
-# as the sheet is thick has higher terms: relief.py.
+# (derived here: half of zeta'' is the mean of the parabola, one zeta'' the stretching).  The first
+# term follows the concavity across the sheet, the second slope times concavity. Profiles of
+# neighbouring track positions give both, for the target stands still.  Relief as fine as the sheet
+# is thick has higher terms: relief.py.
 
 
 REACH_IN_SIGMAS = 4.0

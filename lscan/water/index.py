@@ -86,9 +86,9 @@ def fresh_water_density(temperature_c: float, pressure_mpa: float = ATMOSPHERE_M
 
 # The refractive index of water and of air.
 #
-# The index used throughout is that of Quan & Fry, which is relative to air.  With catalogue
-# glass, also relative to air, and air = 1 it makes one consistent set; an absolute index
-# (IAPWS) mixed in would be wrong by 3.7e-4.
+# The index used throughout is that of Quan & Fry, which is relative to air.  With catalogue glass,
+# also relative to air, and air = 1 it makes one consistent set; an absolute index (IAPWS) mixed in
+# would be wrong by 3.7e-4.
 
 
 # Ranges of Quan & Fry 1995, at atmospheric pressure.

@@ -345,8 +345,7 @@ class Sensor(Strict):
 # radial part, beyond whose turn neither truth nor instrument follow a lens.
 #
 # Tangents are complex here, z = x + i y.  With q = |z|2 and P = p2 + i p1 the distortion (Brown
-# 1971, Conrady 1919, as OpenCV writes it) is z R(q) + conj(P) z2 + 2 P q.  Its derivatives by z
-# and
+# 1971, Conrady 1919, as OpenCV writes it) is z R(q) + conj(P) z2 + 2 P q.  Its derivatives by z and
 # by conj(z) are a = R + q R' + 4 Re(conj(P) z), which is real, and b = z2 R' + 2 P z; the
 # determinant is a2 - |b|2.
 

@@ -76,10 +76,10 @@ def directions(lens: Lens, size_px: tuple[int, int]) -> Floats:
 
 # Speckle of the laser's light: how strong a pixel sees it, and a pattern of it.
 #
-# Speckle is formed at the sensor, where light from all over the pupil meets, so it comes after
-# the point spread of the lens, and before electrons are drawn.  Only light of the laser that a
-# surface reflects shows it: what the water scatters comes from particles that drift through
-# many wavelengths in an exposure, and its speckle averages out.
+# Speckle is formed at the sensor, where light from all over the pupil meets, so it comes after the
+# point spread of the lens, and before electrons are drawn.  Only light of the laser that a surface
+# reflects shows it: what the water scatters comes from particles that drift through many
+# wavelengths in an exposure, and its speckle averages out.
 
 
 # Gauss-Legendre nodes: enough for a constant integrand, and more for every grain in a pixel.

@@ -113,22 +113,17 @@ def interval(pseudo: Floats, positive: bool = False) -> Bounded:
 # Means in a dear tier from few of its runs and many of a cheap one: control variates.
 #
 # With y a term in the dear tier and x the same in the cheap one, of the same rig, the mean of y
-# over
-# n rigs is corrected by how far the mean of x over these n is from that over all N:
+# over n rigs is corrected by how far the mean of x over these n is from that over all N:
 #
 #     y_n + alpha (x_N - x_n).
 #
-# For a fixed alpha it has no bias, whatever x is.  Its scatter is least where alpha is the slope
-# of y
-# on x, and then that of what x does not explain.  The slope is found from the same n rigs: that
+# For a fixed alpha it has no bias, whatever x is.  Its scatter is least where alpha is the slope of
+# y on x, and then that of what x does not explain.  The slope is found from the same n rigs: that
 # costs a factor of (n - 2) / (n - 3) of the variance, and a bias that the jackknife removes to
-# first
-# order.  The products that Sobol' indices are ratios of are such terms.
+# first order.  The products that Sobol' indices are ratios of are such terms.
 #
-# References
-# ----------
-# Lavenberg & Welch 1981, Management Science 27, 322: the slope from the same samples.
-# Peherstorfer, Willcox & Gunzburger 2016, SIAM Journal on Scientific Computing 38, A3163.
+# References ---------- Lavenberg & Welch 1981, Management Science 27, 322: the slope from the same
+# samples. Peherstorfer, Willcox & Gunzburger 2016, SIAM Journal on Scientific Computing 38, A3163.
 # Qian, Peherstorfer, O'Malley, Vesselinov & Willcox 2018, SIAM/ASA Journal on Uncertainty
 # Quantification 6, 683: Sobol' indices.
 

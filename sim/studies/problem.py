@@ -103,17 +103,13 @@ def width(outputs: Sequence[Output]) -> int:
 # The rows of a study: which rigs are evaluated for its budget.
 #
 # Its quasi-random points come in SETS independently scrambled Sobol' sequences, dealt out in turn:
-# sample n is point n // SETS of set n % SETS.  So a greater design begins with the smaller one,
-# the
+# sample n is point n // SETS of set n % SETS.  So a greater design begins with the smaller one, the
 # error falls nearly as fast as that of one long sequence, and the scatter of the sets tells how
 # large it is, which one sequence cannot (Owen 1997; L'Ecuyer & Lemieux 2002).
 #
-# References
-# ----------
-# Saltelli, Annoni, Azzini, Campolongo, Ratto & Tarantola 2010, Computer Physics Communications
-# 181:
-# the blocks A, B and A with columns of B.
-# Owen 1997, Annals of Statistics 25; L'Ecuyer & Lemieux 2002, in Modeling Uncertainty: replicates.
+# References ---------- Saltelli, Annoni, Azzini, Campolongo, Ratto & Tarantola 2010, Computer
+# Physics Communications 181: the blocks A, B and A with columns of B. Owen 1997, Annals of
+# Statistics 25; L'Ecuyer & Lemieux 2002, in Modeling Uncertainty: replicates.
 
 
 SETS = 16

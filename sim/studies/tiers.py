@@ -245,21 +245,17 @@ def _alone(group: str) -> str:
 # the factors differ.  To hold a cause to f times its stated spread is taken to cost c / f, the
 # reciprocal model of Chase & Greenwood, and the output's variance to be the sum of v f² over the
 # causes, v their total Sobol' indices.  The least sum of c / f with the sum of v f² held has, by
-# Lagrange's multiplier, -c / f² + 2 lambda v f = 0 for every cause: f is as the cube root of c /
-# v.
+# Lagrange's multiplier, -c / f² + 2 lambda v f = 0 for every cause: f is as the cube root of c / v.
 # (With Spotts' cost, c / f², it is the fourth root.)  Costs and indices set the proportions only;
 # how small all of them must be is found by runs of rigs that have these spreads.
 #
-# The same quasi-random rigs are run with every factor tried, so that the quantile of the output
-# is a
-# continuous function of it.  What cannot be made tighter, noise and fixed causes and how far the
+# The same quasi-random rigs are run with every factor tried, so that the quantile of the output is
+# a continuous function of it.  What cannot be made tighter, noise and fixed causes and how far the
 # means are off the scene's own numbers, takes its part of the bound first.
 #
-# References
-# ----------
-# Spotts 1973, Journal of Engineering for Industry 95, 762: allocation by Lagrange's multiplier.
-# Chase & Greenwood 1988, Manufacturing Review 1, 50: reciprocal cost.
-# Wilson 1927, Journal of the American Statistical Association 22, 209: interval of a share.
+# References ---------- Spotts 1973, Journal of Engineering for Industry 95, 762: allocation by
+# Lagrange's multiplier. Chase & Greenwood 1988, Manufacturing Review 1, 50: reciprocal cost. Wilson
+# 1927, Journal of the American Statistical Association 22, 209: interval of a share.
 
 
 RIGS = 512

@@ -112,11 +112,11 @@ def crossed_at(port: PlanePort, water_index: float, r_mm: Floats, depth_mm: Floa
 
 # The ray from the pinhole to a point of the water, through a spherical port.
 #
-# All of it lies in the plane of pinhole, dome centre and point.  About the centre, index times
-# the distance at which the ray (drawn on) passes the centre is the same in air, glass and
-# water: Bouguer's theorem (Born & Wolf, Principles of Optics, sec. 3.2).  Polar angles about
-# the centre are counted from the radius through the pinhole; a straight ray that passes the
-# centre at ``p`` and goes out from radius a to b advances by arcsin(p/a) - arcsin(p/b).
+# All of it lies in the plane of pinhole, dome centre and point.  About the centre, index times the
+# distance at which the ray (drawn on) passes the centre is the same in air, glass and water:
+# Bouguer's theorem (Born & Wolf, Principles of Optics, sec. 3.2).  Polar angles about the centre
+# are counted from the radius through the pinhole; a straight ray that passes the centre at ``p``
+# and goes out from radius a to b advances by arcsin(p/a) - arcsin(p/b).
 
 
 Shells = tuple[tuple[float, float, Floats | float], ...]  # index, inner and outer radius, mm

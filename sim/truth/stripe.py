@@ -213,9 +213,9 @@ def _fill(count: int, column: Ints, values: np.ndarray, missing: float) -> np.nd
 
 # The laser line as it ought to be found, the shutter rolling while the head moves.
 #
-# Row v is exposed about the time (v/H - 1/2) readout_ms, so it shows what the head sees from
-# where it is then.  The line is found for head positions spread over those of the rows it
-# lies in, and each column takes its point from the two of them between which its row falls.
+# Row v is exposed about the time (v/H - 1/2) readout_ms, so it shows what the head sees from where
+# it is then.  The line is found for head positions spread over those of the rows it lies in, and
+# each column takes its point from the two of them between which its row falls.
 
 
 # Between two positions the line's place is taken as linear in time.  On the sandwave it

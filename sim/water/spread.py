@@ -178,11 +178,9 @@ def _values(basis: Floats, found: Floats, covariance: Floats) -> tuple[Floats, F
 # Light of a pencil beam that the water scattered exactly once, by quadrature.
 #
 # The beam runs from the origin along +z.  A point at the distance r, theta off the axis, receives
-# light from every place z of the axis, turned by psi.  With h = r sin(theta) and
-# dz = h dpsi / sin2(psi) the inverse square cancels, and the path is r cos(theta) + h tan(psi /
-# 2).
-# So the vector irradiance, its radial part real and its tangential part (away from the axis)
-# imaginary, is
+# light from every place z of the axis, turned by psi.  With h = r sin(theta) and dz = h dpsi /
+# sin2(psi) the inverse square cancels, and the path is r cos(theta) + h tan(psi / 2). So the vector
+# irradiance, its radial part real and its tangential part (away from the axis) imaginary, is
 #
 #     F = b / h [exp(-c r) J(theta) - exp(-c (t + l)) exp(i (psi_t - theta)) J(psi_t)],
 #     J(psi) = integral over a from psi to pi of

@@ -136,9 +136,9 @@ def ruler_axis(reading: RulerReading) -> int:
 
 # Steps 1 to 5 of the paper (Sec. III.3) for one coordinate of the board.
 #
-# To find z the lines are the latitude lines, ``across`` is v, ``along`` is u, and the rulers
-# are the vertical ones.  To find x the same code runs with the roles swapped: longitude lines,
-# across u, along v, horizontal rulers.
+# To find z the lines are the latitude lines, ``across`` is v, ``along`` is u, and the rulers are
+# the vertical ones.  To find x the same code runs with the roles swapped: longitude lines, across
+# u, along v, horizontal rulers.
 
 
 # The region's margin, and as much again for what the outermost line misses its own marks by.

@@ -134,17 +134,16 @@ def _products(knots: Floats, derivative: int) -> Floats:
 
 # Penalised least squares: its weight by cross-validation, its covariance as a posterior.
 #
-# A smooth surface with coefficients c is fitted to N values y with standard uncertainties
-# sigma: it minimises the sum of ((y - rows @ c) / sigma)² plus ``weight`` times the roughness
-# c @ R @ c.  The weight is that of the least generalised cross-validation score (Craven &
-# Wahba, Numer. Math. 31 (1979) 377), in which each degree of freedom counts 1.4 times, so
-# that chance rarely makes the surface too rough (Kim & Gu, J. R. Statist. Soc. B 66 (2004)
-# 337).
+# A smooth surface with coefficients c is fitted to N values y with standard uncertainties sigma: it
+# minimises the sum of ((y - rows @ c) / sigma)² plus ``weight`` times the roughness c @ R @ c.  The
+# weight is that of the least generalised cross-validation score (Craven & Wahba, Numer. Math. 31
+# (1979) 377), in which each degree of freedom counts 1.4 times, so that chance rarely makes the
+# surface too rough (Kim & Gu, J. R. Statist. Soc. B 66 (2004) 337).
 #
-# The penalty is equivalent to a Gaussian prior of the surface, so the posterior of that
-# prior is the fit's covariance.  It holds the scatter and the bias of smoothing both: averaged
-# over the surface, its intervals contain the truth as often as they state (Nychka, J. Am.
-# Statist. Assoc. 83 (1988) 1134).
+# The penalty is equivalent to a Gaussian prior of the surface, so the posterior of that prior is
+# the fit's covariance.  It holds the scatter and the bias of smoothing both: averaged over the
+# surface, its intervals contain the truth as often as they state (Nychka, J. Am. Statist. Assoc. 83
+# (1988) 1134).
 
 
 COST = 1.4  # of one degree of freedom

@@ -219,8 +219,8 @@ class Link:
 #
 # Every line is answered before the next is sent.
 #
-# A serial line carries no checksum: whatever a position rests on is read until two readings
-# in a row agree.
+# A serial line carries no checksum: whatever a position rests on is read until two readings in a
+# row agree.
 
 
 READINGS: Final = 8

@@ -211,17 +211,15 @@ def _places(layout: _Layout) -> Iterator[tuple[slice, slice]]:
 # size of the first.  A packet is a JPEG file and says itself how large its picture is.
 #
 # A packet that need not be waited for has lain in a buffer, for an unknown time: the program was
-# held
-# up, or has just opened the stream.  It is dropped undecoded, so that a backlog of seconds is gone
-# within milliseconds.  Of what was sent before the program went on, two pictures can still be
-# handed
-# out: the one that was waited for when it was held up, and the one that had been sent in part.
-# Dropping two (``flush_frames``) leaves none.
+# held up, or has just opened the stream.  It is dropped undecoded, so that a backlog of seconds is
+# gone within milliseconds.  Of what was sent before the program went on, two pictures can still be
+# handed out: the one that was waited for when it was held up, and the one that had been sent in
+# part. Dropping two (``flush_frames``) leaves none.
 #
 # Not guaranteed: what the camera or the network holds back is sent late, and looks new; and a
 # program whose other threads keep the interpreter busy sees waits (sys.getswitchinterval, 5 ms)
-# where there were none.  ``flush_ms`` and the track's settling time then cover what they are
-# set to.
+# where there were none.  ``flush_ms`` and the track's settling time then cover what they are set
+# to.
 
 
 _log = logging.getLogger(__name__)

@@ -331,11 +331,9 @@ def fourcc_text(raw: float) -> str | None:
 
 # Which camera is behind a number: the names that Linux gives to a video device.
 #
-# udev links ``/dev/v4l/by-id`` to the devices by maker, model and, where the camera has one,
-# serial
-# number; the kernel names the model in ``/sys/class/video4linux``.  A number says nothing: it
-# goes to
-# whichever camera is plugged in first.
+# udev links ``/dev/v4l/by-id`` to the devices by maker, model and, where the camera has one, serial
+# number; the kernel names the model in ``/sys/class/video4linux``.  A number says nothing: it goes
+# to whichever camera is plugged in first.
 
 
 ROOT = Path("/")

@@ -93,8 +93,8 @@ def _open_stream(url: str, options: OpencvOptions) -> Capture:
 # Reading a camera in a thread of its own, so that no call can hang the scan.
 #
 # A live camera is read without pause: its buffers stay empty, and of what it sent only the newest
-# picture is kept.  A file is read one picture at a time, when the one before has been taken.
-# Every call to the capture, opening and releasing included, is made by that thread.
+# picture is kept.  A file is read one picture at a time, when the one before has been taken. Every
+# call to the capture, opening and releasing included, is made by that thread.
 
 
 OLDEST_STAMP_S = 60.0

@@ -150,13 +150,13 @@ def _ideal(steps: Floats, offset: Floats, width: Floats, light: Floats) -> Float
 
 # The stripe extractors of the paper: brightest pixel, centroid, centroid of relative values.
 #
-# All three start from the nominal peak of each column, the first maximum from the top, and
-# look at the window of ``span_px`` pixels on either side of it (Sec. V.B).  They differ only in
-# how far from the nominal peak they put the centre of the line:
+# All three start from the nominal peak of each column, the first maximum from the top, and look at
+# the window of ``span_px`` pixels on either side of it (Sec. V.B).  They differ only in how far
+# from the nominal peak they put the centre of the line:
 #
-# - ``maximum``: at the nominal peak itself;
-# - ``centroid``: eq. (8) with the grey values as weights;
-# - ``centroid_relative``: eq. (8) with the smallest grey value of the window subtracted first.
+# - ``maximum``: at the nominal peak itself; - ``centroid``: eq. (8) with the grey values as
+# weights; - ``centroid_relative``: eq. (8) with the smallest grey value of the window subtracted
+# first.
 #
 # None of them takes account of which pixels are clipped.
 

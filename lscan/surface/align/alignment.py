@@ -116,9 +116,9 @@ def plane_normal(points_mm: Floats) -> Floats:
 #
 # The alignment makes seven quantities of the aligned points zero: height and two slopes of the
 # wedges' tops, the turn of the line of the corners, the lean of the edges against that line, and
-# the two coordinates of the corners' middle.  Each is a linear function of a small displacement
-# of the points.  So is the displacement that each of the alignment's own seven parameters gives
-# to them.  To first order, then, a displacement common to many points, such as an error of the
+# the two coordinates of the corners' middle.  Each is a linear function of a small displacement of
+# the points.  So is the displacement that each of the alignment's own seven parameters gives to
+# them.  To first order, then, a displacement common to many points, such as an error of the
 # calibration, is answered by the change of parameters that makes the seven zero again; and what
 # noise leaves in the seven is answered by errors of the parameters that all points share.
 #

@@ -225,15 +225,13 @@ def _violation(inside: Floats, outside: Floats, which: Ints, parameters: Floats)
 
 # Straight edges located by how the line's light fades over them.
 #
-# The laser sheet has a thickness and the lens blurs, so the line does not end at an edge: its
-# light falls off as a blurred step (stripe/blurredstep.py), and where half is left the sheet's
-# middle lies on the edge.  Where light that misses the edge falls on a lower face in view, the
-# line
-# found in the picture changes over to that one at about half; only samples before that are used.
-# The share of a wall between them is that of both faces of an edge, where it pulls in opposite
+# The laser sheet has a thickness and the lens blurs, so the line does not end at an edge: its light
+# falls off as a blurred step (stripe/blurredstep.py), and where half is left the sheet's middle
+# lies on the edge.  Where light that misses the edge falls on a lower face in view, the line found
+# in the picture changes over to that one at about half; only samples before that are used. The
+# share of a wall between them is that of both faces of an edge, where it pulls in opposite
 # directions: with samples of one face alone it could not be distinguished from the edge's place.
-# The
-# level is linear over each face; the width is shared by the edges of a group.
+# The level is linear over each face; the width is shared by the edges of a group.
 
 
 REACH_MM = 9.0

@@ -312,8 +312,8 @@ class GrblEmulator(EmulatedController):
 
 # An emulated controller that answers as Marlin does, as far as a track asks.
 #
-# Source: Marlin's G-code reference, pages G0-G1, G20, G21, G28, G90, G91, M3, M5, M114, M115,
-# M400, M410, its host keepalive, and what it was recorded to answer (docs/reference/drivers.md).
+# Source: Marlin's G-code reference, pages G0-G1, G20, G21, G28, G90, G91, M3, M5, M114, M115, M400,
+# M410, its host keepalive, and what it was recorded to answer (docs/reference/drivers.md).
 
 
 KEEPALIVE_S = 2.0

@@ -264,8 +264,7 @@ def _thinned(lattice: NodeLattice, among: Ints, most: int) -> Ints:
 # Light that was reflected twice and more, beside a lit line.
 #
 # Where the line runs into a corner such light falls off within millimetres of it, far closer than
-# patches lie.  It is gathered anew at the most lit nodes of a lattice along the line and across
-# it,
+# patches lie.  It is gathered anew at the most lit nodes of a lattice along the line and across it,
 # out of a few directions each, from what patches and the line send there.
 
 

@@ -212,18 +212,16 @@ def load_catalogue(file: Path | str | None = None) -> Catalogue:
 # The class of a line laser, as its radiation counts by IEC 60825-1.
 #
 # The standard lets a class be told by what passes an aperture at a distance.  For visible,
-# continuous light from a source as small as a laser diode two of its conditions matter: 7 mm at
-# 100 mm from the laser, the naked eye's pupil (condition 3), and 50 mm at 2 m, binoculars
-# (condition 1).  A line's light is spread over its fan, so that less than all of it enters: the
-# share of the fan within the angle that the aperture spans, at the fan's brightest place.  Across
-# its thickness all of it is taken to enter, and the source to be a point (C6 = 1): both make the
-# class no lower than it is.
+# continuous light from a source as small as a laser diode two of its conditions matter: 7 mm at 100
+# mm from the laser, the naked eye's pupil (condition 3), and 50 mm at 2 m, binoculars (condition
+# 1).  A line's light is spread over its fan, so that less than all of it enters: the share of the
+# fan within the angle that the aperture spans, at the fan's brightest place.  Across its thickness
+# all of it is taken to enter, and the source to be a point (C6 = 1): both make the class no lower
+# than it is.
 #
-# References
-# ----------
-# IEC 60825-1:2014 (edition 3), 4.3, 5.4 and tables 3 to 8: accessible emission limits of class 1,
-# 0.39 mW (500 nm to 700 nm; at shorter waves a photochemical limit is added, and no class 1 is
-# given here), of class 2, 1 mW, of class 3R, 5 mW, of class 3B, 500 mW.
+# References ---------- IEC 60825-1:2014 (edition 3), 4.3, 5.4 and tables 3 to 8: accessible
+# emission limits of class 1, 0.39 mW (500 nm to 700 nm; at shorter waves a photochemical limit is
+# added, and no class 1 is given here), of class 2, 1 mW, of class 3R, 5 mW, of class 3B, 500 mW.
 
 
 LaserClass = Literal["1", "2", "3R", "3B", "4"]

@@ -316,13 +316,11 @@ def located(plane_map: PlaneMap, pixels: Floats) -> Floats:
 
 # How the scatter of the line's centre follows the light that a rig gives it.
 #
-# The scatter itself is found on pictures of the rig as it ought to be (prepared.py).  Of a rig
-# with
+# The scatter itself is found on pictures of the rig as it ought to be (prepared.py).  Of a rig with
 # another power, exposure, water or albedo it is taken to grow as the bound of Cramér and Rao does:
 # the instrument's extractor is as far above the bound as it was.
 #
-# The ratio is taken of all noise together, and of the sensor's alone.  An extractor that is told
-# of
+# The ratio is taken of all noise together, and of the sensor's alone.  An extractor that is told of
 # speckle (``[stripe.noise]``) comes close to the first bound; without speckle in the picture it
 # weighs the crest too little, and is a factor of two above the second.
 

@@ -8,13 +8,13 @@ from lines_drawn import drawn, speckled
 from pydantic import ValidationError
 from scipy.ndimage import gaussian_filter
 
-from lscan.benchmark.drawn import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.peaks import Spots, doubted
 from lscan.stripe.picture import clipping_level, lines_of, strongest_excess
 from lscan.stripe.returns import choose_return, paths_of
+from tests.validation.surfaces.lit import LitTarget, lit_mean, lit_picture
 
 HEIGHT, WIDTH = 200, 300
 COLUMN = np.arange(WIDTH)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from SALib.analyze import sobol
-from sim.validation.study.coverage import ClosedForm, ishigami, sobol_g
 
 from lscan.records import Floats
 from sim.studies.indices import Bounded, Indices, moments, next_base, sobol_indices
 from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed
+from tests.validation.studies.coverage import ClosedForm, ishigami, sobol_g
 
 SCALAR = (Output("error", "mm"),)
 BASE = 512

@@ -336,8 +336,8 @@ CROSSINGS = tuple(
 
 # Rig files with one thing wrong: every field of the good ones, in every way of its type.
 #
-# The fields and what they may hold are read from the models' JSON schemas; the wrong values
-# follow from those (tests.validation.robustness.rigfiles).
+# The fields and what they may hold are read from the models' JSON schemas; the wrong values follow
+# from those (tests.validation.robustness.rigfiles).
 
 
 Keys = tuple[str | int, ...]

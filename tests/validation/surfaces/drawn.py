@@ -178,8 +178,7 @@ def _covered(inside_px: Floats, blur_px: float) -> Floats:
 # Rigs drawn from what is known of one, and calibrated from what the truth says they would see.
 #
 # Nothing is rendered: marks and lines are where ``sim.truth`` puts them, with noise, so that
-# hundreds
-# of rigs can be calibrated and their intervals counted.
+# hundreds of rigs can be calibrated and their intervals counted.
 
 
 NOISE_PX = 0.03  # of marks and of points of the line, as the renders of the board have it

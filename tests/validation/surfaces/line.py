@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from lscan.benchmark.drawn import LitTarget, lit_mean, lit_picture
 from lscan.config.rig import StripeSection
 from lscan.files.pictures import read_picture
 from lscan.records import Bytes, Floats, Status, Stripe, has_value
@@ -22,6 +21,7 @@ from tests.validation.exposures import pictures
 from tests.validation.instrument.photographs import line_faults
 from tests.validation.rows import Row, measured_rows, row
 from tests.validation.surfaces.drawn import FieldEffort
+from tests.validation.surfaces.lit import LitTarget, lit_mean, lit_picture
 
 SIGMAS, SLACK_PX = 4.0, 0.5
 EXTRACTORS = ("centroid-relative", "steger", "ml")

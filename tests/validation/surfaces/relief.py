@@ -192,9 +192,9 @@ def _gain(height: Floats, true: Floats, judged: Mask, band: tuple[float, float])
 
 # Stated over observed sigma of the line's centres in pictures as cameras make them.
 #
-# Drawn pictures have been through a colour filter, sharpening and JPEG, so that neighbouring
-# pixels share their errors, and their truth is known.  Of a photograph nobody knows the truth:
-# there a centre is held against a parabola through its neighbours.
+# Drawn pictures have been through a colour filter, sharpening and JPEG, so that neighbouring pixels
+# share their errors, and their truth is known.  Of a photograph nobody knows the truth: there a
+# centre is held against a parabola through its neighbours.
 
 
 SHAPE = (128, 640)
