@@ -30,7 +30,7 @@ from lscan.measure import (
 from lscan.records import BoardReading, Bytes, Floats, Length, Profile, Progress, Status, Surface
 from lscan.stripe.extract import extract_stripes
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
-from lscan.surface.align.alignment import KeptAlignment
+from lscan.surface.alignment import KeptAlignment
 from lscan.surface.shaft import ShaftFit, calibrate_shaft, shaft_of, stack_about
 from lscan.surface.surface import provenance_of, to_profiles
 from lscan.surface.thickness import correct_thickness

@@ -66,7 +66,7 @@ def reconstruct(
     from lscan.pipeline import require_piece
     from lscan.records import has_value
     from lscan.surface import save_points, save_surface
-    from lscan.surface.align.alignment import save_alignment as keep_alignment
+    from lscan.surface.alignment import save_alignment as keep_alignment
     from lscan.surface.files import require_storable
 
     require_folders(output, points, save_alignment)
@@ -205,7 +205,7 @@ def _measured_shapes(
 def _reconstructed(run: Run, plane_map: PlaneMap, alignment: Path | None) -> Reconstruction:
     """The run's surface, aligned by the alignment that a file keeps where one is named."""
     from lscan.pipeline import reconstruct as build
-    from lscan.surface.align.alignment import load_alignment
+    from lscan.surface.alignment import load_alignment
 
     kept = load_alignment(alignment) if alignment else None
     with progress_bar("reconstruct") as progress:

@@ -11,7 +11,7 @@ from lscan.config.targets import HeightShape, ShapesDocument, SurfaceBox
 from lscan.errors import MeasurementError
 from lscan.measure.board import algebraic_ball
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
-from lscan.surface.align.alignment import own_variances, turned_modes
+from lscan.surface.alignment import own_variances, turned_modes
 from lscan.surface.surface import sample
 
 # A shape fitted to the points of a surface by least squares of their distances from it.

@@ -89,7 +89,7 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
 def _sections(experiment: Experiment, bars: Bars) -> dict[str, list[ReportFigure]]:
     """The figures by their heading, each caption saying where the pictures come from."""
     # The drawing modules load matplotlib, which takes a second: only where something is drawn.
-    from lscan.paper.figures.page import page_figures
+    from lscan.paper.page import page_figures
 
     return {
         heading: [

@@ -1,7 +1,7 @@
 """From profiles to a surface, its alignment with the workpiece, slices of it, and its files."""
 
-from lscan.surface.align.alignment import Alignment, apply, level, levelling_step, shear
-from lscan.surface.align.fit import align_sandwave
+from lscan.surface.align import align_sandwave
+from lscan.surface.alignment import Alignment, apply, level, levelling_step, shear
 from lscan.surface.files import load_surface, save_points, save_surface
 from lscan.surface.grid import HeightGrid, grid_cells
 from lscan.surface.surface import Slice, resample, stack

@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
-from lscan.surface.align.alignment import own_variances
+from lscan.surface.alignment import own_variances
 
 MIN_POINTS = 9
 """Fewest points of a cell: three to spare for the six coefficients of its quadratic."""

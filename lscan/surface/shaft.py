@@ -22,9 +22,9 @@ from lscan.config.rig import ShaftSection
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask, Profile, Surface, has_value
-from lscan.surface.align.alignment import own_variances, turned_modes
-from lscan.surface.align.features import above_top, find_features
-from lscan.surface.align.fit import rough_pose
+from lscan.surface.align import rough_pose
+from lscan.surface.alignment import own_variances, turned_modes
+from lscan.surface.features import above_top, find_features
 from lscan.surface.surface import stack
 
 PARAMETERS = 5

@@ -29,7 +29,7 @@ from scipy.special import jv
 
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Ints, Surface, has_value
-from lscan.surface.align.alignment import shear
+from lscan.surface.alignment import shear
 
 OFFSETS = np.arange(-4.25, 4.3, 0.25)
 """Distances from the middle plane, in sigmas, at which the light is taken: of y² g, by which the

@@ -114,7 +114,7 @@ def stack(profiles: Sequence[Profile]) -> Surface:
 
     Frame "head": a point is (x, s, z) in mm, where x and z lie in the laser sheet and s is
     the track position of its profile.  This is not yet the true shape where the sheet is
-    yawed against the track: see :func:`lscan.surface.align.alignment.shear`.
+    yawed against the track: see :func:`lscan.surface.alignment.shear`.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from scipy.ndimage import distance_transform_edt, uniform_filter
 
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Ints, Mask, Surface, has_value
-from lscan.surface.align.alignment import own_variances, shear
+from lscan.surface.alignment import own_variances, shear
 from lscan.surface.sheetresponse import (
     FEWEST,
     SEGMENT,

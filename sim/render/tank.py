@@ -13,10 +13,9 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.meshes import MeshPart, scene_parts
-from sim.render.ambient.field import AmbientField, OpenSky, sky_of
+from sim.render.ambient import AmbientField, OpenSky, sky_of
 from sim.render.backend import flushing
-from sim.render.firstorder.picture import SparseLaserLight, ambient_picture, reason_for_samples
-from sim.render.firstorder.rays import film_rays
+from sim.render.firstorder import SparseLaserLight, ambient_picture, film_rays, reason_for_samples
 from sim.render.gathered.picture import GatheredLight, reason_for_random
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2, Layers, Radiance, finer_lens
 from sim.render.materials import mitsuba_shape

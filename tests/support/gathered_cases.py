@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.firstorder.rays import HeadRays
+from sim.render.firstorder import HeadRays
 from sim.render.gathered.chart import Chart, make_chart
 from sim.render.spreads import spread_of
 from sim.render.tank import Tank

@@ -42,7 +42,7 @@ from lscan.records import (
     Surface,
 )
 from lscan.surface import Alignment, Slice
-from lscan.surface.align.alignment import shear
+from lscan.surface.alignment import shear
 
 WIDTH, HEIGHT = 640, 480
 YAW_DEG = 2.2

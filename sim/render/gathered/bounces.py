@@ -17,16 +17,19 @@ from scipy import sparse
 
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import MeshPart
-from sim.render.ambient.field import (
+from sim.render.ambient import (
     DIRECTIONS,
+    NEAR_MM,
     TURN,
     AmbientSamples,
+    Interpolation,
+    NodeLattice,
     box_about,
     joined,
+    like_places,
     one_a_cell,
     traced_all,
 )
-from sim.render.ambient.lattice import NEAR_MM, Interpolation, NodeLattice, like_places
 from sim.render.gathered.line import (
     CLUSTER,
     CREASE_RAD,

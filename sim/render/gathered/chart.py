@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import LinearNDInterpolator
 
 from lscan.records import Floats, Mask
-from sim.render.firstorder.rays import HeadRays
+from sim.render.firstorder import HeadRays
 from sim.scene import Head, camera_pose
 from sim.water.planes import LogAxis
 from sim.water.spread import Spread

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.firstorder.rays import HEAD
+from sim.render.firstorder import HEAD
 from sim.render.gathered.chart import Picture
 from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.sheet import LaserSheet

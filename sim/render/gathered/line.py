@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats, Ints, Mask
-from sim.render.ambient.field import reflectance
+from sim.render.ambient import reflectance
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.sampled.beams import straight_rays

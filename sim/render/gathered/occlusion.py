@@ -16,8 +16,8 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.records import Floats
-from sim.render.ambient.field import reflectance
-from sim.render.firstorder.rays import HeadFrame
+from sim.render.ambient import reflectance
+from sim.render.firstorder import HeadFrame
 from sim.render.gathered.chart import Chart, Picture
 from sim.render.gathered.line import facing
 from sim.render.gathered.veilphotons import COLUMNS, PLACES, ROWS, FieldOfView

@@ -12,9 +12,8 @@ import numpy as np
 
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import MeshPart
-from sim.render.ambient.field import reflectance
-from sim.render.firstorder.rays import HEAD, HeadFrame, HeadRays
-from sim.render.firstorder.survey import NEIGHBOURS, PixelSurvey
+from sim.render.ambient import reflectance
+from sim.render.firstorder import HEAD, NEIGHBOURS, HeadFrame, HeadRays, PixelSurvey
 from sim.render.gathered.camera import CameraLeg, Shining, summed_in_cells
 from sim.render.gathered.chart import Chart, ChartGrid, Picture, cells_in_picture, make_chart
 from sim.render.gathered.glow import Glow

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from sim.meshes import MeshPart
-from sim.render.ambient.field import is_convex, reflectance
+from sim.render.ambient import is_convex, reflectance
 from sim.render.gathered.bounces import BesideLine, Bounces, PatchField, beside_line, lasting
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.line import LitLine, facing, lit_line, received, visible_part

@@ -24,7 +24,7 @@ from scipy.sparse import csc_array, dia_array, diags_array, eye_array, kron
 
 from lscan.files.disk import long_work
 from lscan.records import Floats, Ints, Mask
-from sim.render.firstorder.rays import HEAD, HeadRays
+from sim.render.firstorder import HEAD, HeadRays
 from sim.render.gathered.chart import nearest_point
 from sim.render.gathered.occlusion import VeilPaths
 from sim.render.gathered.veilphotons import (

@@ -15,7 +15,7 @@ from typing import ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from sim.render.ambient.field import AmbientField, OpenSky, reflectance
+from sim.render.ambient import AmbientField, OpenSky, reflectance
 from sim.render.plugins.arrays import opaque, opaque_vector
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.water import PhaseTable, angle_between

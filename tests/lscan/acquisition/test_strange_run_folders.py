@@ -215,7 +215,7 @@ COMMANDS: dict[str, Callable[[Path], tuple[object, ...]]] = {
 def evil(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """The name of an extractor whose module is seen in sys.modules once it was run."""
     name = "of_a_stranger"
-    (tmp_path / f"{name}.py").write_text("from lscan.stripe.extractors.rules import centroid\n")
+    (tmp_path / f"{name}.py").write_text("from lscan.stripe.rules import centroid\n")
     monkeypatch.syspath_prepend(tmp_path)
     yield f"{name}:centroid"
     sys.modules.pop(name, None)

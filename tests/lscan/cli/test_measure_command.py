@@ -20,7 +20,7 @@ from lscan.config.targets import Sandwave
 from lscan.errors import BoardNotFound
 from lscan.records import Provenance
 from lscan.surface import Alignment
-from lscan.surface.align.alignment import save_alignment
+from lscan.surface.alignment import save_alignment
 
 pytestmark = pytest.mark.xdist_group("measure")  # one worker: they share a fixture
 

@@ -29,7 +29,7 @@ from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.paper.experiment import Chain, chain_versions
 from lscan.stripe import extract_stripe
-from lscan.stripe.extractors.rules import centroid
+from lscan.stripe.rules import centroid
 from lscan.suites import find_suite, suites_found
 from lscan.surface.surface import provenance_of
 
@@ -52,7 +52,7 @@ def test_every_name_installed_is_found_and_listed_in_order(group: str) -> None:
 
 
 def test_a_function_of_the_users_needs_no_registering() -> None:
-    for name in ("centroid", "lscan.stripe.extractors.rules:centroid"):
+    for name in ("centroid", "lscan.stripe.rules:centroid"):
         assert find_plugin_or_function("lscan.extractors", name) is centroid
 
 

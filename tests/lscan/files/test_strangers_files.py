@@ -41,7 +41,7 @@ from lscan.files.pictures import encoded, read_picture
 from lscan.suites import open_suite, pack_suite, verify_suite
 from lscan.suites.content import MANIFEST, manifest_bytes, member_sum
 from lscan.surface import load_surface
-from lscan.surface.align.alignment import load_alignment
+from lscan.surface.alignment import load_alignment
 from lscan.surface.shaft import load_shaft
 
 MOST_MIB = 200  # beyond what was there before

@@ -21,7 +21,7 @@ from lscan.figures.style import cell_for, grid_heights
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
 from lscan.paper.experiment import LinePictures
-from lscan.paper.figures.pictures import (
+from lscan.paper.picturefigures import (
     FITS,
     RowFits,
     board_picture,
@@ -35,7 +35,7 @@ from lscan.paper.figures.pictures import (
     sandwave_snapshot,
     sensitivity,
 )
-from lscan.paper.figures.surfaces import (
+from lscan.paper.surfacefigures import (
     contours_after,
     contours_before,
     levelled_relief,

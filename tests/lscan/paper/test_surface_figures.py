@@ -18,8 +18,8 @@ from matplotlib.transforms import Bbox
 from lscan.config.targets import Sandwave
 from lscan.figures import style
 from lscan.paper.experiment import Experiment
-from lscan.paper.figures.surfaces import contours_before
 from lscan.paper.report import render_report
+from lscan.paper.surfacefigures import contours_before
 
 pytestmark = pytest.mark.xdist_group("report")
 FLOOR_MM = -42.0

@@ -6,7 +6,7 @@ from lines_drawn import drawn, speckled
 from stripe_pictures import nothing_clipped
 
 from lscan.config.rig import NoiseSection, StripeSection
-from lscan.stripe.extractors.likelihood import maximum_likelihood
+from lscan.stripe.likelihood import maximum_likelihood
 
 HEIGHT, WIDTH, WIDTH_PX, AMPLITUDE = 120, 640, 0.9, 150.0
 NOISE = NoiseSection(read_dn=1.53, speckle=0.2)  # 1.5 DN, and rounding

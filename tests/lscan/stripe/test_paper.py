@@ -9,7 +9,7 @@ from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
 from lscan.records import Status, has_value
-from lscan.stripe.extractors import rules
+from lscan.stripe import rules
 
 ALL = [rules.maximum, rules.centroid, rules.centroid_relative]
 CENTROIDS = [rules.centroid, rules.centroid_relative]

@@ -7,9 +7,9 @@ from lines_drawn import drawn, lit_share, speckled
 
 from lscan.config.rig import StripeSection
 from lscan.records import Status, Stripe
-from lscan.stripe.extractors.rules import centroid_relative
 from lscan.stripe.peaks import brightest, relief_of, spots_of
 from lscan.stripe.returns import choose_return, withhold
+from lscan.stripe.rules import centroid_relative
 
 HEIGHT, WIDTH = 120, 200
 COLUMN = np.arange(WIDTH)

@@ -10,8 +10,8 @@ from lines_drawn import drawn, speckled
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status
 from lscan.stripe import extract_stripe
-from lscan.stripe.extractors.ridge import steger
 from lscan.stripe.peaks import crests, line_width
+from lscan.stripe.ridge import steger
 
 HEIGHT, WIDTH = 90, 150
 FEW = settings(max_examples=12)

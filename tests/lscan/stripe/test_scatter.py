@@ -7,8 +7,8 @@ from stripe_pictures import HEIGHT, centres_of, light_of, noisy, nothing_clipped
 
 from lscan.config.rig import StripeSection
 from lscan.stripe import find_extractor
-from lscan.stripe.extractors.likelihood import survey
 from lscan.stripe.fit import Scatter, chance_of_variances
+from lscan.stripe.likelihood import survey
 from lscan.stripe.picture import Noise, constant_variance, robust_variance
 
 

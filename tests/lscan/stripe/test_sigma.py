@@ -6,8 +6,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
-from lscan.stripe import picture as noise
-from lscan.stripe.extractors import rules
+from lscan.stripe import picture as noise, rules
 
 HEIGHT, WIDTH = 480, 640
 

@@ -13,7 +13,7 @@ from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from lscan.surface import align_sandwave, apply, shaft as shaftfit
-from lscan.surface.align.features import above_top, nominal_top
+from lscan.surface.features import above_top, nominal_top
 from lscan.surface.shaft import (
     PARAMETERS,
     Shaft,

@@ -9,10 +9,8 @@ import trimesh
 from truth_scenes import tank
 
 from lscan.records import Floats
-from sim.render.ambient import field
-from sim.render.ambient.field import AmbientField, OpenSky
-from sim.render.ambient.lattice import Interpolation, SurfaceNodes
-from sim.render.firstorder import picture
+from sim.render import ambient as field, firstorder as picture
+from sim.render.ambient import AmbientField, Interpolation, OpenSky, SurfaceNodes
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
 from tests.validation.light.gallery import shrunk

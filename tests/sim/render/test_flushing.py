@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim.render.ambient.lattice import Interpolation, SurfaceNodes
+from sim.render.ambient import Interpolation, SurfaceNodes
 from sim.render.backend import CAN_FLUSH, flushing
 
 pytestmark = pytest.mark.skipif(not CAN_FLUSH, reason="Linux on x86-64 alone")

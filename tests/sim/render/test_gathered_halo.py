@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from lscan.records import Floats
-from sim.render.firstorder.rays import HEAD
+from sim.render.firstorder import HEAD
 from sim.render.gathered.occlusion import BLOCK, PARTS, START_MM, HaloPaths
 from sim.render.gathered.picture import LEFT_APART_MM, GatheredLight
 from sim.render.plugins.arrays import floats, vectors

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lscan.records import Floats
-from sim.render.firstorder.rays import HEAD
+from sim.render.firstorder import HEAD
 from sim.render.gathered import picture, reflections
 from sim.render.gathered.camera import CameraLeg
 from sim.render.gathered.glow import Glow

@@ -11,7 +11,7 @@ from integrator_cases import DRY, INDEX, make_sheet, one_lobe
 from truth_scenes import tank as scene_with
 
 from lscan.records import Floats
-from sim.render.firstorder.rays import HEAD, HeadRays, head_rays
+from sim.render.firstorder import HEAD, HeadRays, head_rays
 from sim.render.gathered.picture import _mean_normal
 from sim.render.gathered.veil import LEAST_SLOPE, STEP, HigherVeil, _level, field_of_view, smoothed
 from sim.render.gathered.veilphotons import (

@@ -13,7 +13,7 @@ from integrator_cases import DRY, make_sheet, one_lobe
 from lscan.records import Floats
 from sim.meshes import MeshPart, scene_parts
 from sim.meshes.parts import moved, plain_mesh
-from sim.render.ambient.field import reflectance
+from sim.render.ambient import reflectance
 from sim.render.gathered.bounces import CORNER_MM, EVERY, ROWS, _row_places, lasting
 from sim.render.gathered.glow import Glow
 from sim.render.gathered.line import (

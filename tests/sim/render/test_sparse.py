@@ -14,9 +14,8 @@ from truth_scenes import tank
 
 from lscan.config.documents import merge
 from lscan.records import Floats
-from sim.render.firstorder import picture
-from sim.render.firstorder.rays import ROUGHEST
-from sim.render.firstorder.survey import _uneven
+from sim.render import firstorder as picture
+from sim.render.firstorder import ROUGHEST, _uneven
 from sim.render.plugins.arrays import opaque
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Scene, load_scene

@@ -23,7 +23,7 @@ from lscan.measure.shapes import Quantity, measure_shapes
 from lscan.pipeline import build_surface, finish
 from lscan.records import Floats, Mask, Surface
 from lscan.surface import align_sandwave
-from lscan.surface.align.alignment import KeptAlignment, load_alignment, save_alignment
+from lscan.surface.alignment import KeptAlignment, load_alignment, save_alignment
 from lscan.surface.surface import provenance_of
 from sim.scene import Pose, Scene, load_scene, scene_of, target_pose
 from tests.validation.exposures import ScanReading, band_miss_percent, read_scan, share_inside

@@ -10,7 +10,7 @@ from synthetic_scans import Placing, scan
 from lscan.config.targets import Sandwave
 from lscan.records import Floats, Surface
 from lscan.surface import HeightGrid, align_sandwave, apply, grid_cells
-from lscan.surface.align.alignment import displacement, shear
+from lscan.surface.alignment import displacement, shear
 
 PIECE = Sandwave()
 # Many columns and no noise: what is left is the calibration's doing.

@@ -19,7 +19,7 @@ from lscan.stripe.blurredstep import (
     _StepState,
     _within_bounds,
 )
-from lscan.surface.align.edges import PLACE_SIGMA_MM, EdgeFit, FaceSamples, _samples, fit_fading
+from lscan.surface.edges import PLACE_SIGMA_MM, EdgeFit, FaceSamples, _samples, fit_fading
 
 WIDTH_MM = 0.9
 

@@ -13,9 +13,9 @@ from lscan.errors import InputError, MeasurementError
 from lscan.measure import compare_slice
 from lscan.records import Floats, Status, Surface
 from lscan.surface import Alignment, align_sandwave, apply, level, levelling_step, resample, shear
-from lscan.surface.align.alignment import plane_normal
-from lscan.surface.align.edges import SOFTNESS, EdgeCrossings, EdgeFit, fit_edges
-from lscan.surface.align.fit import CORNER_MARGIN_MM, _Edges
+from lscan.surface.align import CORNER_MARGIN_MM, _Edges
+from lscan.surface.alignment import plane_normal
+from lscan.surface.edges import SOFTNESS, EdgeCrossings, EdgeFit, fit_edges
 
 PIECE = Sandwave()
 YAW_BAR_DEG = 0.10  # what the paper's slices need: 0.1 degrees move the block's corners 0.2 mm

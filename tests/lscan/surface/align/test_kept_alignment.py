@@ -18,7 +18,7 @@ from lscan.errors import InputError
 from lscan.pipeline import finish
 from lscan.records import Floats, Provenance, Surface
 from lscan.surface import Alignment, align_sandwave, apply
-from lscan.surface.align.alignment import KeptAlignment, load_alignment, save_alignment
+from lscan.surface.alignment import KeptAlignment, load_alignment, save_alignment
 from lscan.surface.surface import provenance_of
 
 PIECE = Sandwave()

@@ -14,7 +14,7 @@ from lscan.figures.page import ReportFigure, signed
 from lscan.figures.style import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
-from lscan.paper.figures.pictures import drawn, words_of
+from lscan.paper.picturefigures import drawn, words_of
 from lscan.paper.published import YAW_DEG
 from lscan.pipeline import SandwaveMeasures
 from lscan.records import Floats, Mask, Status
@@ -355,7 +355,7 @@ def surface_to_turn(xyz_mm: Floats, waves: Mask) -> ReportFigure:
     cell = cell_for(xyz_mm, CELL_MM)
     grid = grid_heights(xyz_mm, cell)
     places = {"x": grid.x_mm, "y": grid.y_mm, "z": grid.z_mm}
-    figure = packaged_table("lscan.paper.figures", "plotly.toml")
+    figure = packaged_table("lscan.paper", "plotly.toml")
     trace, scene = figure["trace"], figure["layout"]["scene"]
     # To a hundredth of a millimetre, None where there is no value.
     for axis, values in places.items():

@@ -19,7 +19,7 @@ import numpy as np
 from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Surface
-from lscan.surface.align.alignment import (
+from lscan.surface.alignment import (
     YAW,
     Alignment,
     Datum,
@@ -30,8 +30,8 @@ from lscan.surface.align.alignment import (
     shear,
     turned_modes,
 )
-from lscan.surface.align.edges import EdgeCrossings, EdgeFit, fit_edges, fit_fading
-from lscan.surface.align.features import Features, faces_beside, find_features
+from lscan.surface.edges import EdgeCrossings, EdgeFit, fit_edges, fit_fading
+from lscan.surface.features import Features, faces_beside, find_features
 from lscan.surface.surface import require_head_frame
 
 SETTLED_RAD = 1e-7

@@ -16,7 +16,7 @@ from scipy import ndimage
 from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
-from lscan.surface.align.edges import REACH_MM, EdgeCrossings, FaceSamples
+from lscan.surface.edges import REACH_MM, EdgeCrossings, FaceSamples
 
 
 @dataclass(frozen=True)

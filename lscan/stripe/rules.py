@@ -17,8 +17,8 @@ import numpy as np
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
 from lscan.stripe.api import Extractor, Picture, Several, on_integers, together
-from lscan.stripe.extractors.likelihood import Survey, survey
 from lscan.stripe.fit import LineWindows, lines, parameters_of
+from lscan.stripe.likelihood import Survey, survey
 from lscan.stripe.peaks import centred, in_one, nominal_peaks, parted, windows_beside
 from lscan.stripe.picture import Noise, line_noise
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from lscan.figures.page import ReportFigure
+from lscan.paper import picturefigures, surfacefigures
 from lscan.paper.experiment import Experiment, LinePictures
-from lscan.paper.figures import pictures, surfaces
 from lscan.paper.published import Bars
 from lscan.pipeline import SandwaveMeasures
 
@@ -16,13 +16,13 @@ Shown = tuple[Sequence[ReportFigure], tuple[str, ...]]
 
 def page_figures(experiment: Experiment, bars: Bars) -> dict[str, list[Shown]]:
     """The figures by the heading they stand under; none for pieces that were not scanned."""
-    calibration, sensitivity = pictures.board_figures(experiment.board)
+    calibration, sensitivity = picturefigures.board_figures(experiment.board)
     shown, sandwave = experiment.shown, experiment.sandwave
     sections: dict[str, list[Shown]] = {"Calibration": [(calibration, ("board",))]}
     if shown:
         sections["The laser line"] = lines = []
         if "groove" in shown:
-            lines.append(([pictures.groove_snapshot(shown["groove"])], ("groove",)))
+            lines.append(([picturefigures.groove_snapshot(shown["groove"])], ("groove",)))
         if "sandwave" in shown:
             lines.append((_sandwave_lines(shown["sandwave"]), ("sandwave",)))
     if sandwave is not None:
@@ -34,26 +34,28 @@ def page_figures(experiment: Experiment, bars: Bars) -> dict[str, list[Shown]]:
 
 
 def _sandwave_lines(shown: LinePictures) -> list[ReportFigure]:
-    column = pictures.lit_column(shown)
+    column = picturefigures.lit_column(shown)
     return [
-        pictures.sandwave_snapshot(shown, column),
-        pictures.column_intensities(shown.images, column),
+        picturefigures.sandwave_snapshot(shown, column),
+        picturefigures.column_intensities(shown.images, column),
     ]
 
 
 def _surface(sandwave: SandwaveMeasures) -> list[ReportFigure]:
-    waves = surfaces.on_the_waves(sandwave)
+    waves = surfacefigures.on_the_waves(sandwave)
     return [
-        surfaces.raw_relief(sandwave.raw.xyz_mm),
-        surfaces.levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment),
-        surfaces.contours_before(sandwave, waves),
-        surfaces.contours_after(sandwave, waves),
-        surfaces.surface_to_turn(sandwave.aligned.xyz_mm, waves),
+        surfacefigures.raw_relief(sandwave.raw.xyz_mm),
+        surfacefigures.levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment),
+        surfacefigures.contours_before(sandwave, waves),
+        surfacefigures.contours_after(sandwave, waves),
+        surfacefigures.surface_to_turn(sandwave.aligned.xyz_mm, waves),
     ]
 
 
 def _slices(sandwave: SandwaveMeasures, bar_mm: float) -> list[ReportFigure]:
     return [
-        surfaces.slice_plot(name, cut, sandwave.errors[name], _SLICE_FIGURES.get(name, ""), bar_mm)
+        surfacefigures.slice_plot(
+            name, cut, sandwave.errors[name], _SLICE_FIGURES.get(name, ""), bar_mm
+        )
         for name, cut in sandwave.slices.items()
     ]

@@ -29,7 +29,7 @@ from lscan.records import BoardReading, Bytes, Floats, Status, Stripe, has_value
 # The report's figures as their words in figures.toml have them.
 
 
-_TABLE = packaged_table("lscan.paper.figures", "figures.toml")
+_TABLE = packaged_table("lscan.paper", "figures.toml")
 
 
 def drawn(name: str, figure: Figure, /, **found: object) -> ReportFigure:

@@ -16,7 +16,7 @@ from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.files.disk import read_json, write_json
 from lscan.records import Floats, Ints, Provenance, Surface
-from lscan.surface.align.edges import EdgeCrossings
+from lscan.surface.edges import EdgeCrossings
 from lscan.surface.surface import StoredProvenance, require_head_frame
 from lscan.version import __version__
 

@@ -1,1 +1,0 @@
-"""The stripe extractors: one method a module."""
