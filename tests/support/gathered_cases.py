@@ -6,7 +6,7 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.firstorder import HeadRays
-from sim.render.gathered.chart import Chart, make_chart
+from sim.render.gathered.halo import Chart, make_chart
 from sim.render.spreads import spread_of
 from sim.render.tank import Tank
 from sim.scene import load_scene

@@ -14,13 +14,19 @@ from lscan.records import Floats, Ints, Mask
 from sim.meshes import MeshPart
 from sim.render.ambient import reflectance
 from sim.render.firstorder import HEAD, NEIGHBOURS, HeadFrame, HeadRays, PixelSurvey
-from sim.render.gathered.camera import CameraLeg, Shining, summed_in_cells
-from sim.render.gathered.chart import Chart, ChartGrid, Picture, cells_in_picture, make_chart
-from sim.render.gathered.glow import Glow
-from sim.render.gathered.line import facing, lit_points
-from sim.render.gathered.occlusion import HaloPaths
-from sim.render.gathered.reflections import LitSurfaces, Reflections
-from sim.render.gathered.veil import HigherVeil
+from sim.render.gathered.halo import (
+    CameraLeg,
+    Chart,
+    ChartGrid,
+    Picture,
+    Shining,
+    cells_in_picture,
+    make_chart,
+    summed_in_cells,
+)
+from sim.render.gathered.line import Glow, facing, lit_points
+from sim.render.gathered.surfaces import LitSurfaces, Reflections
+from sim.render.gathered.veil import HaloPaths, HigherVeil
 from sim.render.layers import binned
 from sim.render.plugins.arrays import floats, indices, opaque_vector, vectors
 from sim.render.sampled.integrator import SheetIntegrator

@@ -7,9 +7,16 @@ import numpy as np
 import pytest
 from gathered_cases import WATER, beside_a_beam, small_view, spread
 
-from sim.render.gathered import chart as charts
-from sim.render.gathered.camera import CameraLeg, Shining, summed_in_cells
-from sim.render.gathered.chart import Chart, ChartGrid, Picture, make_chart
+from sim.render.gathered import halo as charts
+from sim.render.gathered.halo import (
+    CameraLeg,
+    Chart,
+    ChartGrid,
+    Picture,
+    Shining,
+    make_chart,
+    summed_in_cells,
+)
 from sim.render.gathered.picture import _splatted
 from sim.render.plugins.arrays import floats
 from sim.scene import Head, load_scene

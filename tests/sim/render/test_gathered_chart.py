@@ -5,7 +5,7 @@ import pytest
 from gathered_cases import small_view
 
 from lscan.records import Floats
-from sim.render.gathered.chart import COARSER, Chart, ChartGrid, cells_in_picture
+from sim.render.gathered.halo import COARSER, Chart, ChartGrid, cells_in_picture
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from gathered_cases import WATER, spread
 from integrator_cases import make_sheet
 
 from lscan.records import Floats
-from sim.render.gathered import glow as glows
-from sim.render.gathered.glow import Glow, thin_sheet
+from sim.render.gathered import line as glows
+from sim.render.gathered.line import Glow, thin_sheet
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.water import SpreadLookup
 from sim.scene import Laser, Pose

@@ -8,8 +8,8 @@ import pytest
 
 from lscan.records import Floats
 from sim.render.firstorder import HEAD
-from sim.render.gathered.occlusion import BLOCK, PARTS, START_MM, HaloPaths
 from sim.render.gathered.picture import LEFT_APART_MM, GatheredLight
+from sim.render.gathered.veil import BLOCK, PARTS, START_MM, HaloPaths
 from sim.render.plugins.arrays import floats, vectors
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Pose, head_pose, load_scene

@@ -10,9 +10,9 @@ import pytest
 
 from lscan.records import Floats
 from sim.render.firstorder import HEAD
-from sim.render.gathered import picture, reflections
-from sim.render.gathered.camera import CameraLeg
-from sim.render.gathered.glow import Glow
+from sim.render.gathered import picture, surfaces as reflections
+from sim.render.gathered.halo import CameraLeg
+from sim.render.gathered.line import Glow
 from sim.render.gathered.picture import GatheredLight
 from sim.render.spreads import spread_of
 from sim.render.tank import Tank

@@ -8,7 +8,7 @@ import pytest
 from gathered_cases import WATER, beside_a_beam, spread
 
 from lscan.records import Floats
-from sim.render.gathered.chart import COSINE_AXIS, RANGE_AXIS, ScatterKernel, scatter_kernel
+from sim.render.gathered.halo import COSINE_AXIS, RANGE_AXIS, ScatterKernel, scatter_kernel
 from sim.water.spread import Spread
 
 PIXEL_RAD = 1e-3

@@ -14,12 +14,11 @@ from lscan.records import Floats
 from sim.meshes import MeshPart, scene_parts
 from sim.meshes.parts import moved, plain_mesh
 from sim.render.ambient import reflectance
-from sim.render.gathered.bounces import CORNER_MM, EVERY, ROWS, _row_places, lasting
-from sim.render.gathered.glow import Glow
 from sim.render.gathered.line import (
     OFF,
     RAYS,
     SEGMENTS,
+    Glow,
     LitLine,
     _segmented,
     facing,
@@ -27,7 +26,15 @@ from sim.render.gathered.line import (
     received,
     visible_part,
 )
-from sim.render.gathered.reflections import Reflections, visible_share
+from sim.render.gathered.surfaces import (
+    CORNER_MM,
+    EVERY,
+    ROWS,
+    Reflections,
+    _row_places,
+    lasting,
+    visible_share,
+)
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.arrays import vectors
