@@ -348,7 +348,7 @@ HEADINGS: Mapping[str, str] = {
     "cases": "pictures",
     "rms": "of the errors on what must be found, wrong ones left out, px or mm",
     "bias": "their mean",
-    "to bound": "their rms over the least that pixel noise allows",
+    "to bound": "their rms, divided by the Cramér-Rao bound of a single column",
     "found": "share of what must be found, %",
     "wrong": "share of values that are of something else, %",
     "sure": "share of values that are so and say they are not, %",
