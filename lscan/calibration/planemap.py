@@ -6,7 +6,7 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
@@ -244,25 +244,26 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 
 
-_LISTS_OF: dict[int, tuple[TypeAdapter[Any], str]] = {
+_LISTS: dict[int | None, tuple[TypeAdapter[Any], str]] = {
     1: (TypeAdapter(list[Number]), "a list of finite numbers"),
     2: (TypeAdapter(list[list[Number]]), "rows of finite numbers, all of one length"),
+    None: (
+        TypeAdapter(list[Number | None] | list[list[Number | None]]),
+        "finite numbers or nulls, all rows of one length",
+    ),
 }
-_LISTS_WITH_GAPS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
 
 
-def _read(lists: TypeAdapter[Any], value: Any, allowed: str) -> Floats:
-    """An array of what JSON holds; ValueError where it is not as allowed, or rows differ."""
+def _array(value: Any, dimensions: int | None) -> Floats:
+    """An array of lists as deep as that; None: 1 or 2 deep, with ``null`` for NaN."""
+    lists, allowed = _LISTS[dimensions]
     try:
-        return np.array(lists.validate_python(value), dtype=float)
+        array: Floats = np.asarray(
+            value if isinstance(value, np.ndarray) else lists.validate_python(value), dtype=float
+        )
     except (ValueError, OverflowError) as error:
         raise ValueError(f"must be {allowed}") from error
-
-
-def _numbers(value: Any, dimensions: int) -> Floats:
-    lists, allowed = _LISTS_OF[dimensions]
-    array = value if isinstance(value, np.ndarray) else _read(lists, value, allowed)
-    if array.ndim != dimensions or not np.isfinite(array).all():
+    if dimensions and (array.ndim != dimensions or not np.isfinite(array).all()):
         raise ValueError(f"must be {allowed}")
     return array
 
@@ -300,38 +301,28 @@ def none_negative(array: Floats) -> Floats:
     return array
 
 
-def _with_gaps(value: Any) -> Floats:
-    """Like the others, but ``null`` stands for NaN."""
-    if isinstance(value, np.ndarray):
-        return value
-    return _read(_LISTS_WITH_GAPS, value, "finite numbers or nulls, all rows of one length")
-
-
-def _nan_for_none(value: Any, read: Callable[[Any], float]) -> float:
-    return np.nan if value is None or value != value else read(value)
-
-
-def _none_for_nan(value: float) -> float | None:
-    return None if np.isnan(value) else value
-
-
-def _plain_with_gaps(array: Floats) -> list[Any]:
+def _plain(array: Floats) -> list[Any]:
+    """As lists, ``null`` for NaN."""
     plain = array.astype(object)
     plain[np.isnan(array)] = None
     return plain.tolist()
 
 
-_LISTS = PlainSerializer(np.ndarray.tolist)
-Vector = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=1)), _LISTS]
-Matrix = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=2)), _LISTS]
-Place = Annotated[Vector, of_length(2)]
-Pair = Annotated[Place, AfterValidator(none_negative)]
-NotNegativeOrNaN = Annotated[
-    NotNegative, WrapValidator(_nan_for_none), PlainSerializer(_none_for_nan)
+Vector = Annotated[Floats, PlainValidator(partial(_array, dimensions=1)), PlainSerializer(_plain)]
+Matrix = Annotated[Floats, PlainValidator(partial(_array, dimensions=2)), PlainSerializer(_plain)]
+FloatsWithGaps = Annotated[
+    Floats, PlainValidator(partial(_array, dimensions=None)), PlainSerializer(_plain)
 ]
 """``null`` in the file for NaN."""
-Gaps = Annotated[Floats, PlainValidator(_with_gaps), PlainSerializer(_plain_with_gaps)]
-Sigmas = Annotated[Gaps, AfterValidator(none_negative)]
+NotNegativeOrNaN = Annotated[
+    NotNegative,
+    WrapValidator(lambda value, read: np.nan if value is None or value != value else read(value)),
+    PlainSerializer(lambda value: None if np.isnan(value) else value),
+]
+"""``null`` in the file for NaN."""
+Place = Annotated[Vector, of_length(2)]
+Pair = Annotated[Place, AfterValidator(none_negative)]
+Sigmas = Annotated[FloatsWithGaps, AfterValidator(none_negative)]
 
 
 def check_covariance(covariance: Floats, count: int) -> None:

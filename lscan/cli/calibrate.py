@@ -110,7 +110,7 @@ def check(
     json: Json = False,
 ) -> None:
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
-    from lscan.calibration.calibrationfile import load_any, save_any
+    from lscan.calibration.calibrationfile import load_any, save_calibration
     from lscan.calibration.check import check_calibration, corrected, proposed
     from lscan.cli.inputs import board_picture, parse_corrections, parse_seeds
 
@@ -124,7 +124,7 @@ def check(
     found = check_calibration(loaded, reading, level, placed, water)
     kinds = asked or proposed(found)
     if update is not None and kinds:
-        save_any(update, corrected(loaded, reading, kinds, placed, water))
+        save_calibration(update, corrected(loaded, reading, kinds, placed, water))
     if json:
         print_json({"agrees": found.agrees, "correct": kinds, **asdict(found)})
     else:
@@ -254,11 +254,9 @@ def calibrate_metric(
     from lscan.calibration.calibrationfile import (
         load_camera,
         require_same_camera,
-        save_camera,
-        save_metric,
+        save_calibration,
     )
     from lscan.calibration.metric.solve import (
-        CameraCalibration,
         UnsolvedViews,
         calibrate_camera,
         calibrate_metric as solve,
@@ -288,10 +286,7 @@ def calibrate_metric(
         raise
     if overlays:
         write_overlays(file, calibration.views[len(boards) :], overlays)
-    if isinstance(calibration, CameraCalibration):
-        save_camera(output, calibration)
-    else:
-        save_metric(output, calibration)
+    save_calibration(output, calibration)
     if json:
         print_json({"calibration": output, **summary(calibration)})
         return

@@ -12,7 +12,12 @@ from planeviews import BARREL, View, paper_board, read_board
 
 from lscan.calibration import physical
 from lscan.calibration.calibrate import Calibration, calibrate
-from lscan.calibration.calibrationfile import AnyCalibration, load_any, load_plane_map, save_any
+from lscan.calibration.calibrationfile import (
+    AnyCalibration,
+    load_any,
+    load_plane_map,
+    save_calibration,
+)
 from lscan.calibration.check import CalibrationCheck, check_calibration, corrected, proposed
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.planemap import Estimate, SheetCorrection
@@ -165,7 +170,7 @@ def test_another_water_is_found_and_corrected(tmp_path: Path) -> None:
     assert check_calibration(better, _reading(sea, 3)).agrees
     points = better.plane_map.to_plane(sea.project(PLACES))
     assert (np.abs(points.xz_mm - PLACES) < 4 * points.sigma_mm).all()
-    save_any(tmp_path / "better.json", better)
+    save_calibration(tmp_path / "better.json", better)
     again, size = load_plane_map(tmp_path / "better.json")
     assert size == (640, 480)
     np.testing.assert_array_equal(again.to_plane(sea.project(PLACES)).xz_mm, points.xz_mm)
@@ -219,7 +224,7 @@ def test_a_metric_calibration_is_checked_and_corrected(tmp_path: Path) -> None:
     found = check_calibration(calibration, sea)
     assert not found.agrees and proposed(found) == ("index",)
     better = corrected(calibration, sea, ("index",))
-    save_any(tmp_path / "better.json", better)
+    save_calibration(tmp_path / "better.json", better)
     assert check_calibration(load_any(tmp_path / "better.json"), sea).agrees
     with pytest.raises(InputError, match=r"placed_mm.*one picture"):
         check_calibration(calibration, sea, placed_mm=0.1)
