@@ -102,6 +102,7 @@ def load_any(path: Path | str) -> AnyCalibration:
         Where the file is no calibration, or is not as it was written.
     """
     path = Path(path)
+    content: CalibrationFile | MetricFile | CameraFile
     content = _content(path, CalibrationFile, MetricFile, CameraFile)
     if isinstance(content, CameraFile):
         allowed = f"lscan calibrate-metric VIEWS.toml --camera {path.name} -o FILE"
@@ -184,6 +185,7 @@ def save_calibration(path: Path | str, calibration: AnyCalibration | CameraCalib
     >>> lscan.save_calibration("projective.json", calibration)
     """
     model: type[Strict] = CalibrationFile
+    fields: dict[str, Any]
     if isinstance(calibration, Calibration):
         fields = {
             "plane_map": calibration.name,
@@ -265,28 +267,32 @@ else:  # names in the file
     ]
 
 
-def _check_places(record: Marks | Mark | RingPoints | LinePoints) -> None:
-    """Raise ValueError unless each place has its uncertainty, and both just if its status is OK."""
-    image_px, sigma_px = record.image_px, np.atleast_1d(record.sigma_px)
-    if isinstance(record, Mark):
-        image_px = image_px[None]
-    found = np.atleast_1d(getattr(record, "status", np.zeros_like(sigma_px))) == Status.OK
-    count = len(found)
-    if image_px.shape != (count, 2) or sigma_px.shape != (count,):
-        each = f"for each of {count} places"
-        raise ValueError(f"image_px must hold one pair, and sigma_px one number, {each}")
-    if isinstance(record, Marks) and record.board_mm.shape != (count, 2):
-        raise ValueError(f"board_mm must hold {count} pairs, one per status")
-    if (np.isfinite([*image_px.T, sigma_px]) != found).any():
-        raise ValueError("image_px and sigma_px must be numbers, null just where status is not OK")
+class StoredPlaces:
+    """Base of the records with places in the picture, as they are in a file."""
+
+    __pydantic_config__ = STRICT
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless each place has its sigma, and both just where status is OK."""
+        record: Any = self
+        image_px, sigma_px = record.image_px, np.atleast_1d(record.sigma_px)
+        if isinstance(record, Mark):
+            image_px = image_px[None]
+        found = np.atleast_1d(getattr(record, "status", np.zeros_like(sigma_px))) == Status.OK
+        count = len(found)
+        if image_px.shape != (count, 2) or sigma_px.shape != (count,):
+            each = f"for each of {count} places"
+            raise ValueError(f"image_px must hold one pair, and sigma_px one number, {each}")
+        if isinstance(record, Marks) and record.board_mm.shape != (count, 2):
+            raise ValueError(f"board_mm must hold {count} pairs, one per status")
+        if (np.isfinite([*image_px.T, sigma_px]) != found).any():
+            raise ValueError("image_px and sigma_px must be numbers, null where status is not OK")
 
 
 @dataclass(frozen=True)
-class StoredMarks(Marks):
+class StoredMarks(StoredPlaces, Marks):
     """Marks that are in a file; ``null`` where one has no place."""
 
-    __pydantic_config__ = STRICT
-    __post_init__ = _check_places
     board_mm: Matrix
     image_px: FloatsWithGaps
     sigma_px: Sigmas
@@ -294,22 +300,18 @@ class StoredMarks(Marks):
 
 
 @dataclass(frozen=True)
-class StoredMark(Mark):
+class StoredMark(StoredPlaces, Mark):
     """A mark that is in a file; ``null`` where it has no place."""
 
-    __pydantic_config__ = STRICT
-    __post_init__ = _check_places
     image_px: FloatsWithGaps
     sigma_px: NotNegativeOrNaN
     status: Code
 
 
 @dataclass(frozen=True)
-class StoredRing(RingPoints):
+class StoredRing(StoredPlaces, RingPoints):
     """Points of a ring that are in a file."""
 
-    __pydantic_config__ = STRICT
-    __post_init__ = _check_places
     image_px: Annotated[
         FloatsWithGaps, AfterValidator(lambda px: px if px.size else px.reshape(0, 2))
     ]
@@ -353,17 +355,16 @@ class StoredResiduals(Strict):
 
 
 @dataclass(frozen=True)
-class StoredLine(LinePoints):
+class StoredLine(StoredPlaces, LinePoints):
     """The line of a view that is in a file."""
 
-    __pydantic_config__ = STRICT
     image_px: Matrix
     sigma_px: Vector
     axis: Axis
 
     def __post_init__(self) -> None:
         """Raise ValueError unless each point has its uncertainty, above 0."""
-        _check_places(self)
+        super().__post_init__()
         if (self.sigma_px <= 0).any():
             raise ValueError("sigma_px must be above 0")
 
@@ -494,7 +495,7 @@ class CameraFile(StoredViews):
         return self
 
 
-File = TypeVar("File", CalibrationFile, MetricFile, CameraFile)
+File = TypeVar("File", bound=CalibrationFile | MetricFile | CameraFile)
 
 
 def _content(path: Path, *models: type[File]) -> File:
