@@ -244,27 +244,23 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 
 
-_LISTS: dict[int | None, tuple[TypeAdapter[Any], str]] = {
-    1: (TypeAdapter(list[Number]), "a list of finite numbers"),
-    2: (TypeAdapter(list[list[Number]]), "rows of finite numbers, all of one length"),
-    None: (
-        TypeAdapter(list[Number | None] | list[list[Number | None]]),
-        "finite numbers or nulls, all rows of one length",
-    ),
+_LISTS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
+_ALLOWED = {
+    1: "a list of finite numbers",
+    2: "rows of finite numbers, all of one length",
+    None: "finite numbers or nulls, all rows of one length",
 }
 
 
 def _array(value: Any, dimensions: int | None) -> Floats:
-    """An array of lists as deep as that; None: 1 or 2 deep, with ``null`` for NaN."""
-    lists, allowed = _LISTS[dimensions]
+    """An array of what JSON holds; dimensions None: 1 or 2, with ``null`` for NaN."""
     try:
-        array: Floats = np.asarray(
-            value if isinstance(value, np.ndarray) else lists.validate_python(value), dtype=float
-        )
+        lists = value if isinstance(value, np.ndarray) else _LISTS.validate_python(value)
+        array: Floats = np.asarray(lists, dtype=float)
+        if dimensions and (array.ndim != dimensions or not np.isfinite(array).all()):
+            raise ValueError
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"must be {allowed}") from error
-    if dimensions and (array.ndim != dimensions or not np.isfinite(array).all()):
-        raise ValueError(f"must be {allowed}")
+        raise ValueError(f"must be {_ALLOWED[dimensions]}") from error
     return array
 
 
