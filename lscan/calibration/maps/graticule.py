@@ -204,15 +204,15 @@ class LineSet:
 
     @cached_property
     def _curves(self) -> CurveTable:
-        return CurveTable.of([line.curve for line in self.lines])
+        return CurveTable(tuple(line.curve for line in self.lines))
 
     @cached_property
     def _ruler_lines(self) -> CurveTable:
-        return CurveTable.of([ruler.line for ruler in self.rulers])
+        return CurveTable(tuple(ruler.line for ruler in self.rulers))
 
     @cached_property
     def _conversions(self) -> CurveTable:
-        return CurveTable.of([ruler.conversion for ruler in self.rulers])
+        return CurveTable(tuple(ruler.conversion for ruler in self.rulers))
 
     def locate(self, targets: Targets) -> tuple[Floats, Floats]:
         """Board coordinate in mm and its variance in mm², (N,) each; NaN where not surrounded.
@@ -310,8 +310,7 @@ class LineSet:
         value = start + between.weights[:, 1] * pitch
         if targets.variance is None:
             return value, np.full_like(value, np.nan)
-        rows = self._curves.basis(between.lines, targets.along[:, None])
-        of_lines = self._curves.variance(between.lines, rows)
+        of_lines = (self._curves.modes(between.lines, targets.along[:, None]) ** 2).sum(axis=0)
         _, slope = self._interpolated(between, targets.along)
         noise = targets.variance * (1 + slope**2) + between.blend(of_lines, power=2)
         return value, noise * (pitch / between.span_px) ** 2
@@ -360,15 +359,13 @@ class LineSet:
         heights, slopes = curves.look_up(lines, crossing[:, None])
         slope = between.blend(slopes)
         ratio = (heights[:, 1] - heights[:, 0]) / between.span_px
-        there, here = (curves.basis(lines, along[:, None]) for along in (crossing, targets.along))
-        rows = there - ratio[:, None, None] * here
+        there, here = (curves.modes(lines, along[:, None]) for along in (crossing, targets.along))
+        of_lines = ((there - ratio[:, None] * here) ** 2).sum(axis=0)
         _, tilt = self._interpolated(between, targets.along)
-        across = ratio**2 * targets.variance * (1 + tilt**2)
-        across += between.blend(curves.variance(lines, rows), power=2)
-        across += slope**2 * rulers.variance(ruler, rulers.basis(ruler, place))
+        across = ratio**2 * targets.variance * (1 + tilt**2) + between.blend(of_lines, power=2)
+        across += slope**2 * (rulers.modes(ruler, place) ** 2).sum(axis=0)
         scale = conversion_slope / (1 - slope * ruler_slope)
-        converted = self._conversions.variance(ruler, self._conversions.basis(ruler, place))
-        return value, scale**2 * across + converted
+        return value, scale**2 * across + (self._conversions.modes(ruler, place) ** 2).sum(axis=0)
 
 
 # The paper's map: longitude and latitude lines with auxiliary rulers (Secs. II and III).

@@ -10,13 +10,21 @@ better conditioned than in powers of a pixel coordinate.
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from math import comb, factorial
+from math import comb
 from typing import Literal
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from lscan.calibration.planemap import STRICT, Count, Matrix, Number, Vector, check_covariance
+from lscan.calibration.planemap import (
+    STRICT,
+    Count,
+    Matrix,
+    Number,
+    Vector,
+    check_covariance,
+    square_root,
+)
 from lscan.records import Floats, Ints, Marks
 
 Fit = Literal["1", "2", "bspline"]
@@ -231,45 +239,14 @@ def _interpolating(points: CurvePoints) -> Curve:
 
 @dataclass(frozen=True)
 class CurveTable:
-    """C curves of P pieces at most, each piece a polynomial of x less the place where it begins.
+    """Curves of P pieces at most, each piece a polynomial of x less the place where it begins.
 
     Attributes
     ----------
-    begin : (C, P) array, in the unit of x, where the pieces begin; inf for those there are not
-    powers : (D, C P) array, coefficients of the powers 0 to D - 1 in each piece
-    basis_powers : (D, M, C P) array, the same of the M functions that a curve is a sum of
-    covariance : (M, M, C) array, of their coefficients, in the unit of y, squared
+    curves : tuple of Curve, one or more
     """
 
-    begin: Floats
-    powers: Floats
-    basis_powers: Floats
-    covariance: Floats
-
-    @staticmethod
-    def of(curves: Sequence[Curve]) -> "CurveTable":
-        """The table of some curves.
-
-        Parameters
-        ----------
-        curves : sequence of Curve, one or more
-        """
-        begins = [_begins(curve) for curve in curves]
-        most = max(len(curve.coefficients) for curve in curves)
-        shape = len(curves), max(map(len, begins))
-        begin = np.full(shape, np.inf)
-        powers = np.zeros((max(curve.degree for curve in curves) + 1, *shape, most))
-        values, covariance = np.zeros(powers.shape[:-1]), np.zeros((len(curves), most, most))
-        for k, (curve, places) in enumerate(zip(curves, begins, strict=True)):
-            pieces, count = slice(len(places)), len(curve.coefficients)
-            begin[k, pieces] = places
-            covariance[k, :count, :count] = curve.covariance
-            rows = _powers_of(curve, places)
-            powers[: curve.degree + 1, k, pieces, :count] = rows
-            values[: curve.degree + 1, k, pieces] = rows @ curve.coefficients
-        size = shape[0] * shape[1]
-        basis = powers.reshape(-1, size, most).transpose(0, 2, 1).copy()
-        return CurveTable(begin, values.reshape(-1, size), basis, covariance.T.copy())
+    curves: tuple[Curve, ...]
 
     def look_up(self, curve: Ints, x: Floats) -> tuple[Floats, Floats]:
         """The values of the curves and their slopes, shaped as the arguments together.
@@ -280,81 +257,77 @@ class CurveTable:
         x : array, the places; beyond a curve's ends its end pieces are continued
         """
         piece, step = self._piece(curve, x)
-        value, slope = self.powers[-1].take(piece), np.zeros(step.shape)
-        for coefficients in self.powers[-2::-1]:
+        value, slope = self._values[-1].take(piece), np.zeros(step.shape)
+        for coefficients in self._values[-2::-1]:
             slope = slope * step + value
             value = value * step + coefficients.take(piece)
         return value, slope
 
-    def basis(self, curve: Ints, x: Floats) -> Floats:
-        """(..., M) values of the functions that the curves are sums of.
+    def modes(self, curve: Ints, x: Floats) -> Floats:
+        """(M, ...) by which one standard deviation of each of M errors displaces the values.
 
         Parameters
         ----------
         curve, x : array, as :meth:`look_up` takes them
         """
         piece, step = self._piece(curve, x)
-        value = self.basis_powers[-1].take(piece, axis=1)
-        for coefficients in self.basis_powers[-2::-1]:
+        value = self._modes[-1].take(piece, axis=1)
+        for coefficients in self._modes[-2::-1]:
             value *= step
             value += coefficients.take(piece, axis=1)
-        return np.moveaxis(value, 0, -1)
-
-    def variance(self, curve: Ints, rows: Floats) -> Floats:
-        """Variances, shaped as ``curve``, of sums of a curve's coefficients.
-
-        Parameters
-        ----------
-        curve : array of int, whose coefficients are added
-        rows : (..., M) array, the factor of each
-        """
-        factors, total = np.ascontiguousarray(np.moveaxis(rows, -1, 0)), np.zeros(rows.shape[:-1])
-        for i, factor in enumerate(factors):
-            moved = factor * self.covariance[i, i].take(curve)
-            for j in range(i):
-                moved += factors[j] * (2 * self.covariance[i, j]).take(curve)
-            total += factor * moved
-        return total
+        return value
 
     def _piece(self, curve: Ints, x: Floats) -> tuple[Ints, Floats]:
-        """Number of each place's piece among all C P, and the place from where that begins."""
-        count = self.begin.shape[1]
+        """Number of each place's piece among all, and the place from where that begins."""
+        count = self._begin.shape[1]
         piece = curve * count
         if count > 1:
-            piece = piece + (x[..., None] >= self.begin[curve, 1:]).sum(axis=-1)
-        return piece, x - self.begin.reshape(-1).take(piece)
+            piece = piece + (x[..., None] >= self._begin[curve, 1:]).sum(axis=-1)
+        return piece, x - self._begin.reshape(-1).take(piece)
+
+    @cached_property
+    def _pieces(self) -> list[tuple[Floats, Floats]]:
+        return [_pieces(curve) for curve in self.curves]
+
+    @cached_property
+    def _begin(self) -> Floats:
+        """(C, P) where the pieces begin; inf for those there are not."""
+        begin = np.full((len(self.curves), max(len(own) for own, _ in self._pieces)), np.inf)
+        for row, (own, _) in zip(begin, self._pieces, strict=True):
+            row[: len(own)] = own
+        return begin
+
+    @cached_property
+    def _values(self) -> Floats:
+        return self._powers([curve.coefficients[:, None] for curve in self.curves])[:, 0]
+
+    @cached_property
+    def _modes(self) -> Floats:
+        return self._powers([square_root(curve.covariance) for curve in self.curves])
+
+    def _powers(self, coefficients: list[Floats]) -> Floats:
+        """(D, J, C P) powers 0 to D - 1 in each piece of splines of coefficients (M, J)."""
+        degree = max(curve.degree for curve in self.curves)
+        most = max(own.shape[1] for own in coefficients)
+        powers = np.zeros((degree + 1, most, *self._begin.shape))
+        for k, (own, (_, rows)) in enumerate(zip(coefficients, self._pieces, strict=True)):
+            powers[: len(rows), : own.shape[1], k, : rows.shape[1]] = (rows @ own).swapaxes(1, 2)
+        return powers.reshape(degree + 1, most, -1)
 
 
-def _begins(curve: Curve) -> Floats:
-    """Where the pieces of a curve begin."""
-    if _is_whole(curve):
-        return curve.knots[:1]
-    return np.unique(curve.knots[curve.degree : -curve.degree or None])[:-1]
-
-
-def _powers_of(curve: Curve, places: Floats) -> Floats:
-    """(degree + 1, P, M) coefficients of powers of the M functions in the pieces from P places."""
-    if _is_whole(curve):
-        step = 1 / (curve.knots[-1] - curve.knots[0])
-        scale = step ** np.arange(curve.degree + 1)
-        return (_bernstein_powers(curve.degree) * scale[:, None])[:, None]
-    each = range(curve.degree + 1)
-    return np.stack([curve.basis.derivative(k)(places) / factorial(k) for k in each])
-
-
-def _is_whole(curve: Curve) -> bool:
-    """Whether a curve is one polynomial."""
-    knots, last = curve.knots, curve.degree
-    is_single = len(curve.coefficients) == last + 1
-    return is_single and bool(knots[0] == knots[last] and knots[-1] == knots[-1 - last])
+def _pieces(curve: Curve) -> tuple[Floats, Floats]:
+    """(P,) where the pieces of a curve begin, and (D, P, M) powers from there of its functions."""
+    ends = np.unique(curve.knots[curve.degree : -curve.degree or None])
+    step, (nodes, to_powers, bernstein) = np.diff(ends), _nodes(curve.degree)
+    by_share = bernstein[:, None]
+    if not np.array_equal(curve.knots, ends[[0, -1]].repeat(curve.degree + 1)):
+        by_share = np.tensordot(to_powers, curve.basis(ends[:-1] + nodes[:, None] * step), 1)
+    return ends[:-1], by_share / (step ** np.arange(len(nodes))[:, None])[..., None]
 
 
 @lru_cache(maxsize=16)
-def _bernstein_powers(degree: int) -> Floats:
-    """(degree + 1, degree + 1) coefficients of t^p, one row each, in Bernstein's polynomials."""
-    powers = np.zeros((degree + 1, degree + 1))
-    for k in range(degree + 1):
-        for p in range(k, degree + 1):
-            powers[p, k] = (-1) ** (p - k) * comb(degree, k) * comb(degree - k, p - k)
-    powers.flags.writeable = False
-    return powers
+def _nodes(degree: int) -> tuple[Floats, Floats, Floats]:
+    """Shares of a piece, what makes powers of the share of values there, and those of Bernstein."""
+    nodes = (np.arange(degree + 1) + 0.5) / (degree + 1)
+    to_powers = np.linalg.inv(np.vander(nodes, increasing=True)).astype(np.float64)
+    return nodes, to_powers, to_powers @ _bernstein(nodes, degree)[0]
