@@ -566,17 +566,15 @@ def without(reading: BoardReading, left_out: Mask) -> BoardReading:
     reading : BoardReading, of N marks
     left_out : (N,) mask, in the order of ``all_marks``
     """
-    return with_marks(reading, _hidden(joined_marks(reading), left_out))
-
-
-def _hidden(marks: Marks, hide: Mask) -> Marks:
-    hide = hide & marks.found
-    return replace(
+    marks = joined_marks(reading)
+    hide = left_out & marks.found
+    marks = replace(
         marks,
         image_px=np.where(hide[:, None], np.nan, marks.image_px),
         sigma_px=np.where(hide, np.nan, marks.sigma_px),
         status=np.where(hide, int(Status.NOT_FOUND), marks.status),
     )
+    return with_marks(reading, marks)
 
 
 # The estimate that a plane map gives for pixels, and how its uncertainty is put together.
@@ -599,7 +597,9 @@ class Estimate:
     modes_mm: Floats | None = None
 
 
-def propagated(xz_mm: Floats, jacobian: Floats, modes_mm: Floats, variance_px2: Floats) -> Estimate:
+def estimate_of(
+    xz_mm: Floats, jacobian: Floats, modes_mm: Floats, variance_px2: Floats
+) -> Estimate:
     """The estimate of a map whose parameters give its modes; NaN where the variance is.
 
     Parameters
@@ -736,7 +736,7 @@ class SolvedMap(Strict, ABC):
             is neither.
         """
         image_px = require_columns(image_px, "image_px", 2)
-        sigma = _checked_sigma(image_px, sigma_px)
+        sigma = _sigma_or_zero(image_px, sigma_px)
         finite = np.isfinite(image_px).all(axis=1)
         covered = np.zeros(len(image_px), dtype=bool)
         covered[finite] = self.region.covers(image_px[finite])
@@ -843,7 +843,7 @@ class MapSolver(ABC, Generic[Solved]):
             Where the marks found do not determine the map.
         """
         self.check_variant(variant)
-        return self._finished(self.fit(reading, variant, optics), variant, optics)
+        return self._with_name_and_water(self.fit(reading, variant, optics), variant, optics)
 
     def bare(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
@@ -864,7 +864,7 @@ class MapSolver(ABC, Generic[Solved]):
             As ``solve``.
         """
         self.check_variant(variant)
-        return self._finished(self.fit_points(reading, variant, optics), variant, optics)
+        return self._with_name_and_water(self.fit_points(reading, variant, optics), variant, optics)
 
     def fit_points(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
         """As ``fit``; a family whose uncertainty takes time of its own leaves it out.
@@ -903,13 +903,13 @@ class MapSolver(ABC, Generic[Solved]):
         """
         MapSolver.check_variant(self, variant)  # a metric map can be restored, though not solved
         read = check(self.model, parameters, where=None, prefix="parameters")
-        return self._named(read, variant)
+        return self._with_name(read, variant)
 
-    def _finished(self, solved: Solved, variant: str, optics: OpticsSection) -> Solved:
+    def _with_name_and_water(self, solved: Solved, variant: str, optics: OpticsSection) -> Solved:
         water = stated_water(optics)
-        return self._named(solved.model_copy(update={"stated_water": water}), variant)
+        return self._with_name(solved.model_copy(update={"stated_water": water}), variant)
 
-    def _named(self, solved: Solved, variant: str) -> Solved:
+    def _with_name(self, solved: Solved, variant: str) -> Solved:
         solved._name = full_name(self.family, variant)
         return solved
 
@@ -943,7 +943,7 @@ def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
     return modes
 
 
-def _checked_sigma(image_px: Floats, sigma_px: Floats | None) -> Floats:
+def _sigma_or_zero(image_px: Floats, sigma_px: Floats | None) -> Floats:
     if sigma_px is None:
         return np.zeros(len(image_px))
     sigma = np.asarray(sigma_px, dtype=float)

@@ -111,7 +111,11 @@ def check(
 ) -> None:
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
     from lscan.calibration.calibrationfile import load_any, save_calibration
-    from lscan.calibration.check import check_calibration, corrected, proposed
+    from lscan.calibration.check import (
+        check_calibration,
+        corrected_calibration,
+        fitting_corrections,
+    )
     from lscan.cli.inputs import board_picture, parse_corrections, parse_seeds
 
     require_folders(update)
@@ -122,9 +126,9 @@ def check(
     given = board_picture(picture, board, optics, trust)
     reading, water = given.read(parse_seeds(seeds), channel), given.optics
     found = check_calibration(loaded, reading, level, placed, water)
-    kinds = asked or proposed(found)
+    kinds = asked or fitting_corrections(found)
     if update is not None and kinds:
-        save_calibration(update, corrected(loaded, reading, kinds, placed, water))
+        save_calibration(update, corrected_calibration(loaded, reading, kinds, placed, water))
     if json:
         print_json({"agrees": found.agrees, "correct": kinds, **asdict(found)})
     else:

@@ -17,7 +17,7 @@ from lscan.acquisition.writer import RunWriter, create_run, resume_run
 from lscan.board import read_board
 from lscan.calibration.calibrate import calibrate
 from lscan.calibration.calibrationfile import save_calibration
-from lscan.calibration.check import carried
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import Plan, RigFile, parse_rig
 from lscan.devices.api import Limited, Track
@@ -247,7 +247,7 @@ def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibrati
     InputError
         The map cannot be carried to the water, or the changes, that the rig states.
     """
-    return LiveCalibration(path, carried(plane_map, rig_file.rig))
+    return LiveCalibration(path, map_for_rig(plane_map, rig_file.rig))
 
 
 def take_board(

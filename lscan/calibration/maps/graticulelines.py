@@ -116,12 +116,12 @@ def fit_polynomials(several: Sequence[CurvePoints], orders: Sequence[int]) -> li
         alike.setdefault((order, len(points.x)), []).append(number)
     found: dict[int, Curve] = {}
     for (order, _), numbers in alike.items():
-        curves = _of_one_order([several[number] for number in numbers], order)
+        curves = _polynomials_of_one_order([several[number] for number in numbers], order)
         found.update(zip(numbers, curves, strict=True))
     return [found[number] for number in range(len(several))]
 
 
-def _of_one_order(several: Sequence[CurvePoints], order: int) -> list[Curve]:
+def _polynomials_of_one_order(several: Sequence[CurvePoints], order: int) -> list[Curve]:
     """Polynomials through sets of as many points each: solved together, in a third of the time."""
     x, y, sigma_x, sigma_y = (
         np.stack([getattr(points, field.name) for points in several])
@@ -129,7 +129,7 @@ def _of_one_order(several: Sequence[CurvePoints], order: int) -> list[Curve]:
     )
     low, high = x.min(axis=1, keepdims=True), x.max(axis=1, keepdims=True)
     rows, by_share = _bernstein((x - low) / (high - low), order)
-    solved = _solved(rows, by_share / (high - low)[..., None], y, sigma_x, sigma_y)
+    solved = _least_squares(rows, by_share / (high - low)[..., None], y, sigma_x, sigma_y)
     knots = np.repeat(np.hstack([low, high]), order + 1, axis=1)
     return [Curve(order, *parts) for parts in zip(knots, *solved, strict=True)]
 
@@ -150,7 +150,7 @@ def _bernstein(share: Floats, order: int) -> tuple[Floats, Floats]:
     return rows, by_share
 
 
-def _solved(
+def _least_squares(
     rows: Floats, slopes: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats
 ) -> tuple[Floats, Floats]:
     """Coefficients (..., M) of least squares and their covariance (..., M, M).
@@ -222,16 +222,16 @@ def fit_curves(several: Sequence[CurvePoints], fit: Fit) -> list[Curve]:
     """
     if fit != "bspline":
         return fit_polynomials(several, [DEGREE[fit]] * len(several))
-    return [_interpolating(points) for points in several]
+    return [_interpolating_spline(points) for points in several]
 
 
-def _interpolating(points: CurvePoints) -> Curve:
+def _interpolating_spline(points: CurvePoints) -> Curve:
     x, degree = points.x, DEGREE["bspline"]
     order = np.argsort(x)
     knots = make_interp_spline(x[order], points.y[order], k=degree).t
     basis = BSpline(knots, np.eye(len(x)), degree)
     parts = points.y, points.sigma_x, points.sigma_y
-    return Curve(degree, knots, *_solved(basis(x), basis.derivative()(x), *parts))
+    return Curve(degree, knots, *_least_squares(basis(x), basis.derivative()(x), *parts))
 
 
 # Several curves as one table, in which each of many places is looked up on a curve of its own.

@@ -30,8 +30,8 @@ from lscan.calibration.planemap import (
     Vector,
     all_marks,
     covered_region,
+    estimate_of,
     found_marks,
-    propagated,
     separate_modes,
     with_lack_of_fit,
 )
@@ -277,7 +277,7 @@ class Spline(SolvedMap):
             jacobian[:, :, axis] += bend / self.pixels.scale[axis]
         modes = separate_modes(*(rows @ root for root in self.roots))
         places = self.base.places(image_px) + rows @ self.coefficients.T
-        return propagated(places, jacobian, modes, variance_px2)
+        return estimate_of(places, jacobian, modes, variance_px2)
 
 
 class SplineSolver(MapSolver[Spline]):

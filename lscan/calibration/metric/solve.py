@@ -190,13 +190,15 @@ def fit_views(
     while True:
         if len(numbers) < FEWEST_VIEWS:
             wanted = f"{FEWEST_VIEWS} views of the board, usable {len(numbers)}"
-            raise UnsolvedViews(f"the metric route needs {wanted}", _unfitted(views, faults))
+            raise UnsolvedViews(
+                f"the metric route needs {wanted}", _views_with_faults(views, faults)
+            )
         found = [seen for number in numbers if (seen := views[number].marks) is not None]
         marks = found_on(found, range(len(numbers)))
         start = best_start(marks, priors, optics.port, image_size[0])
         if start is None:
             message = "no camera explains the views of the board"
-            raise UnsolvedViews(message, _unfitted(views, faults))
+            raise UnsolvedViews(message, _views_with_faults(views, faults))
         fit = _fit(start, marks, priors)
         wrong = _worst_view(fit, marks)
         if wrong is None:
@@ -223,7 +225,7 @@ def fitted_views(views: Sequence[CalibrationView], used: UsedViews) -> list[Fitt
     """
     fit = used.fit
     miss = fit.marks.missed_px(fit.boards)
-    fitted = _unfitted(views, used.faults)
+    fitted = _views_with_faults(views, used.faults)
     for board, number in enumerate(used.numbers):
         mine = (fit.marks.board == board) & fit.good
         fitted[number] = replace(
@@ -245,7 +247,9 @@ def fitted_views(views: Sequence[CalibrationView], used: UsedViews) -> list[Fitt
     return fitted
 
 
-def _unfitted(views: Sequence[CalibrationView], faults: dict[int, str]) -> list[FittedView]:
+def _views_with_faults(
+    views: Sequence[CalibrationView], faults: dict[int, str]
+) -> list[FittedView]:
     """The views as read, with the faults of some by number."""
     return [
         FittedView(view.name, view.marks, view.line, view.fault, reason=faults.get(number, ""))
@@ -356,7 +360,7 @@ class SolvedViews:
     @property
     def rms_px(self) -> float:
         """Root mean square length of the used marks' residuals in all used views."""
-        return _pooled([(view.rms_px, view.marks_used) for view in self.views if view.used])
+        return _pooled_rms([(view.rms_px, view.marks_used) for view in self.views if view.used])
 
 
 @dataclass(frozen=True)
@@ -404,7 +408,7 @@ class MetricCalibration(SolvedViews):
     def line_rms_mm(self) -> float:
         """Root mean square distance of the used line points from the sheet."""
         lines = [view for view in self.views if view.line_used]
-        return _pooled([(view.line_rms_mm, view.line_points_used) for view in lines])
+        return _pooled_rms([(view.line_rms_mm, view.line_points_used) for view in lines])
 
 
 def _place(view: CalibrationView) -> bytes:
@@ -440,7 +444,7 @@ def calibrate_camera(
     ]
     priors = priors_of(optics, image_size, k3, assume_webcam=False)
     used = fit_views(views, optics, priors, image_size)
-    solved = _solved(used, fitted_views(views, used), optics, image_size, k3)
+    solved = _solved_fields(used, fitted_views(views, used), optics, image_size, k3)
     return CameraCalibration(theta=used.fit.boards.theta[:COUNT], **solved)
 
 
@@ -494,11 +498,11 @@ def calibrate_metric(
         number = used.numbers[board]
         fitted[number] = _with_line(fitted[number], board, plane)
     plane_map = _map_of(used, lines, plane, optics, image_size)
-    solved = _solved(used, fitted, optics, image_size, k3)
+    solved = _solved_fields(used, fitted, optics, image_size, k3)
     return MetricCalibration(plane_map=plane_map, **solved)
 
 
-def _solved(
+def _solved_fields(
     used: UsedViews,
     views: Sequence[FittedView],
     optics: OpticsSection,
@@ -565,7 +569,7 @@ def _with_reason(view: FittedView, fault: str) -> FittedView:
     return replace(view, reason="; ".join(filter(None, (view.reason, fault))))
 
 
-def _pooled(parts: list[tuple[float, int]]) -> float:
+def _pooled_rms(parts: list[tuple[float, int]]) -> float:
     """Root mean square of parts of a root mean square and a count each."""
     rms, count = np.array(parts).T
     return float(np.sqrt((rms**2 * count).sum() / count.sum()))

@@ -12,7 +12,7 @@ from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from PIL import ExifTags, Image
 
 from lscan.calibration.calibrationfile import save_calibration
-from lscan.calibration.check import carried
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.metric.solve import MetricCalibration, calibrate_metric
 from lscan.files.pictures import read_picture, write_picture
 
@@ -177,7 +177,7 @@ def test_the_map_is_carried_to_the_water_of_a_run(
     assert code == 0, err
     row = next(row for row in rows_of(table) if row["x_mm"])
     pixel = np.array([[float(row["column"]), float(row["centre_px"])]])
-    there = carried(solved.plane_map, run.rig_file.rig).to_plane(pixel).xz_mm[0]
+    there = map_for_rig(solved.plane_map, run.rig_file.rig).to_plane(pixel).xz_mm[0]
     here = solved.plane_map.to_plane(pixel).xz_mm[0]
     np.testing.assert_allclose([float(row["x_mm"]), float(row["z_mm"])], there, rtol=1e-9)
     assert np.abs(there - here).max() > 0.1  # else the water would not be seen to count
