@@ -240,7 +240,8 @@ def leave_port(port: PortModel, air: Floats) -> tuple[Floats, Floats]:
     cosine = air @ normal
     cosine = np.where(cosine > 0, cosine, np.nan)[:, None]
     along = air - cosine * normal
-    glass, water = (_refracted_rays(along, normal, n) for n in (port.glass_index, port.water_index))
+    inside = [along / index for index in (port.glass_index, port.water_index)]  # Snell's law
+    glass, water = (s + _root(1 - (s**2).sum(axis=1))[:, None] * normal for s in inside)
     entry = air * (port.gap_mm / cosine) + glass * (port.thickness_mm / (glass @ normal))[:, None]
     return entry, water
 
@@ -295,15 +296,6 @@ def leave_port_derivatives(
     direction[:, :, turning] = turned / index
     direction[:, :, water] = normal / p - (along + p * normal) / index**2
     return entry, direction
-
-
-def _refracted_rays(along: Floats, normal: Floats, index: float) -> Floats:
-    """(N, 3) unit rays in a medium: Snell's law for the part ``along`` the face of a ray in air.
-
-    NaN where an index below 1, which a search for it may try, reflects all of the ray.
-    """
-    inside = along / index
-    return inside + _root(1 - (inside**2).sum(axis=1))[:, None] * normal
 
 
 def _root(square: Floats) -> Floats:

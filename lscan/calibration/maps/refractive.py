@@ -88,7 +88,10 @@ def fit_view(
     marks = found_on([joined_marks(reading)], [0])
     view, near = start, start is not None
     if view is None:
-        few = _enough_marks(marks)
+        few, count = marks, len(marks.sigma_px)
+        if count > MANY:  # some all over the board are enough to find the solution by
+            chosen = np.random.default_rng(count).permutation(count)[:ENOUGH]
+            few = select(marks, np.sort(chosen))
         view = best_start(few, priors, optics.port, reading.image_size[0])
         if view is None or not view.axes[0, :, 1] @ view.places_mm[0] > 0:
             raise BoardNotFound("the marks found are no picture of the board's front")
@@ -99,15 +102,6 @@ def fit_view(
     if bare:
         return CameraFit(view, np.zeros((len(view.theta), 0)), marks, good)
     return with_covariance(view, marks, priors, good)
-
-
-def _enough_marks(marks: BoardMarks) -> BoardMarks:
-    """Marks all over the board, enough to find the solution by; all of them where few are."""
-    count = len(marks.sigma_px)
-    if count <= MANY:
-        return marks
-    chosen = np.random.default_rng(count).permutation(count)[:ENOUGH]
-    return select(marks, np.sort(chosen))
 
 
 def _fit_sound_marks(

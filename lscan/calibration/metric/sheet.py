@@ -490,7 +490,11 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
     _require_agreement(found.agree, faults, found.usual)
     own = equations.own_root(found.q_per_mm, found.takes)
     own = own * np.sqrt(max(1.0, found.chi_per_freedom))
-    _require_sure(found.q_per_mm, own)
+    length = np.linalg.norm(found.q_per_mm)
+    unit = found.q_per_mm / length
+    turning = (np.eye(3) - np.outer(unit, unit)) @ own / length  # of the normal, rad
+    if not np.linalg.norm(turning, 2) <= np.radians(MOST_TILT_DEG):
+        raise open_plane_error()
     return LaserPlane(
         q_per_mm=found.q_per_mm,
         root=equations.joint_root(found.q_per_mm, found.takes, own),
@@ -587,12 +591,3 @@ def _require_agreement(agree: Mask, faults: dict[int, str], usual: float = 1.0) 
         raise NoLaserPlane(TOO_FEW_AGREE.format(len(agree)), faults)
     if usual > MOST_USUAL**2:
         raise NoLaserPlane(TOO_FAR.format(np.sqrt(usual)), faults)
-
-
-def _require_sure(q: Floats, root: Floats) -> None:
-    """Refuse a plane whose normal is known to no better than MOST_TILT_DEG."""
-    length = np.linalg.norm(q)
-    unit = q / length
-    turning = (np.eye(3) - np.outer(unit, unit)) @ root / length
-    if not np.linalg.norm(turning, 2) <= np.radians(MOST_TILT_DEG):
-        raise open_plane_error()

@@ -41,20 +41,6 @@ BETTER = 1.1  # times less must be left with pixels of another shape
 NEARLY_SQUARE = 0.005  # of a side: what a bent board may look like; costs 2 sigmas of focal length
 
 
-@dataclass(frozen=True)
-class PinholeFit:
-    """A pinhole with distortion in the place of the camera.
-
-    Attributes
-    ----------
-    rms_px : float, px, what it leaves of the marks
-    height : float, of a pixel, over its width
-    """
-
-    rms_px: float
-    height: float
-
-
 def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -> str:
     """Of what shape pixels are that the marks show not to be square, and what to do; else "".
 
@@ -71,20 +57,21 @@ def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -
     left_px = float(np.sqrt(np.mean(fit.marks.missed_px(fit.boards)[fit.good] ** 2)))
     if left_px < POOR * float(np.median(own_px)):
         return ""
-    square = _pinhole(fit, image_size, cv2.CALIB_FIX_ASPECT_RATIO)
-    shaped = _pinhole(fit, image_size, 0)
-    if square.rms_px < BETTER * shaped.rms_px or abs(shaped.height - 1) < NEARLY_SQUARE:
+    square_px, _ = _pinhole(fit, image_size, cv2.CALIB_FIX_ASPECT_RATIO)
+    shaped_px, pixel_height = _pinhole(fit, image_size, 0)
+    if square_px < BETTER * shaped_px or abs(pixel_height - 1) < NEARLY_SQUARE:
         return ""
     width, height = image_size
     return (
-        f"the camera's pixels are not square: {shaped.height:.4f} times as high as wide, the marks "
-        f"fit to {shaped.rms_px:.2f} px rms, as squares to {square.rms_px:.2f} px; use a format of "
+        f"the camera's pixels are not square: {pixel_height:.4f} times as high as wide, the marks "
+        f"fit to {shaped_px:.2f} px rms, as squares to {square_px:.2f} px; use a format of "
         f"the camera that does not squeeze its pictures, or scale them all to {width} x "
-        f"{round(height * shaped.height)} px"
+        f"{round(height * pixel_height)} px"
     )
 
 
-def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> PinholeFit:
+def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> tuple[float, float]:
+    """Px rms that a pinhole with distortion leaves of the marks; a pixel's height over width."""
     marks, boards = fit.marks, np.unique(fit.marks.board)
     each = [fit.good & (marks.board == board) for board in boards]
     on_board = np.column_stack([marks.board_mm, np.zeros(len(marks.board_mm))]).astype(np.float32)
@@ -98,8 +85,8 @@ def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> Pinhole
             flags=flags | cv2.CALIB_FIX_K3,
         )
     except cv2.error:  # poses that give it no start
-        return PinholeFit(np.inf, 1.0)
-    return PinholeFit(float(rms), float(camera[0, 0] / camera[1, 1]))
+        return np.inf, 1.0
+    return float(rms), float(camera[0, 0] / camera[1, 1])
 
 
 # Camera and poses from the views of a board, and which of the views they rest on.
