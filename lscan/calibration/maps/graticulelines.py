@@ -10,6 +10,7 @@ better conditioned than in powers of a pixel coordinate.
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
+from itertools import zip_longest
 from math import comb
 from typing import Literal
 
@@ -74,6 +75,19 @@ class Curve:
     def basis(self) -> BSpline:
         """Gives (N, M) of x (N,) so that ``basis(x) @ coefficients`` is f."""
         return BSpline(self.knots, np.eye(len(self.coefficients)), self.degree)
+
+    @cached_property
+    def pieces(self) -> tuple[Floats, Floats]:
+        """(P,) where its pieces begin, and (D, P, M) powers from there of what ``basis`` gives."""
+        orders, ends = np.arange(self.degree + 1), self.knots[self.degree : -self.degree or None]
+        nodes, to_powers, bernstein = _nodes(self.degree)
+        if len(ends) == 2 and self.knots[0] == ends[0] and self.knots[-1] == ends[1]:
+            by_share, step = bernstein[:, None], ends[1:] - ends[:-1]
+        else:
+            ends = np.unique(ends)
+            step = np.diff(ends)
+            by_share = np.tensordot(to_powers, self.basis(ends[:-1] + nodes[:, None] * step), 1)
+        return ends[:-1], by_share / (step ** orders[:, None])[..., None]
 
     def __call__(self, x: Floats) -> Floats:
         """f at x, same shape."""
@@ -286,16 +300,10 @@ class CurveTable:
         return piece, x - self._begin.reshape(-1).take(piece)
 
     @cached_property
-    def _pieces(self) -> list[tuple[Floats, Floats]]:
-        return [_pieces(curve) for curve in self.curves]
-
-    @cached_property
     def _begin(self) -> Floats:
         """(C, P) where the pieces begin; inf for those there are not."""
-        begin = np.full((len(self.curves), max(len(own) for own, _ in self._pieces)), np.inf)
-        for row, (own, _) in zip(begin, self._pieces, strict=True):
-            row[: len(own)] = own
-        return begin
+        own = [curve.pieces[0] for curve in self.curves]
+        return np.array(list(zip_longest(*own, fillvalue=np.inf))).T
 
     @cached_property
     def _values(self) -> Floats:
@@ -310,19 +318,10 @@ class CurveTable:
         degree = max(curve.degree for curve in self.curves)
         most = max(own.shape[1] for own in coefficients)
         powers = np.zeros((degree + 1, most, *self._begin.shape))
-        for k, (own, (_, rows)) in enumerate(zip(coefficients, self._pieces, strict=True)):
-            powers[: len(rows), : own.shape[1], k, : rows.shape[1]] = (rows @ own).swapaxes(1, 2)
+        for k, (curve, own) in enumerate(zip(self.curves, coefficients, strict=True)):
+            part = (curve.pieces[1] @ own).swapaxes(1, 2)
+            powers[: len(part), : own.shape[1], k, : part.shape[2]] = part
         return powers.reshape(degree + 1, most, -1)
-
-
-def _pieces(curve: Curve) -> tuple[Floats, Floats]:
-    """(P,) where the pieces of a curve begin, and (D, P, M) powers from there of its functions."""
-    ends = np.unique(curve.knots[curve.degree : -curve.degree or None])
-    step, (nodes, to_powers, bernstein) = np.diff(ends), _nodes(curve.degree)
-    by_share = bernstein[:, None]
-    if not np.array_equal(curve.knots, ends[[0, -1]].repeat(curve.degree + 1)):
-        by_share = np.tensordot(to_powers, curve.basis(ends[:-1] + nodes[:, None] * step), 1)
-    return ends[:-1], by_share / (step ** np.arange(len(nodes))[:, None])[..., None]
 
 
 @lru_cache(maxsize=16)
