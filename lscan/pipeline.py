@@ -13,7 +13,7 @@ from lscan.acquisition.run import Run
 from lscan.acquisition.scan import cores, in_order
 from lscan.board import read_board
 from lscan.calibration.calibrate import Calibration, calibrate
-from lscan.calibration.check import carried
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board
 from lscan.config.rig import CameraSection, Rig, RigFile
@@ -269,7 +269,7 @@ def read_profiles(
         Where a picture cannot be read, or there is no extractor of that name.
     """
     rig = run.rig_file.rig
-    plane_map = carried(plane_map, rig)
+    plane_map = map_for_rig(plane_map, rig)
 
     def profiles_of(part: range) -> list[Profile]:
         frames = (run.frame(index) for index in part)
@@ -511,7 +511,7 @@ def measure_run(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     piece = run.rig_file.rig.workpiece
     if piece is None:
         board, reading = read_shown_board(run)
-        return measure_reading(reading, board, carried(plane_map, run.rig_file.rig))
+        return measure_reading(reading, board, map_for_rig(plane_map, run.rig_file.rig))
     try:
         if isinstance(piece, GroovedBlock):
             return measure_groove(run, plane_map)

@@ -16,7 +16,7 @@ from scipy.special import erf
 
 from lscan.board import read_board
 from lscan.calibration.calibrate import calibrate
-from lscan.calibration.check import carried
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.planemap import PlaneMap, find_solver, joined_marks
 from lscan.config.board import Board
 from lscan.config.documents import Document, check, merge, read_document
@@ -589,7 +589,7 @@ def _stage_result(stage: Callable[..., Any], *given: Any) -> tuple[Any, float]:
 
 def _calibrated(case: ScanCase, rig: Rig) -> PlaneMap:
     reading = read_board(case.board.picture, case.board.board, channel=rig.calibration.channel)
-    return carried(calibrate(reading, rig.calibration.plane_map, rig.optics).plane_map, rig)
+    return map_for_rig(calibrate(reading, rig.calibration.plane_map, rig.optics).plane_map, rig)
 
 
 def _profiles(case: ScanCase, rig: Rig, plane_map: PlaneMap) -> list[Profile]:

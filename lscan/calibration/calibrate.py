@@ -68,7 +68,7 @@ class ScreenedReading:
     outliers_mm: Floats
 
 
-def screened(reading: BoardReading) -> ScreenedReading:
+def without_outliers(reading: BoardReading) -> ScreenedReading:
     """The reading without its outliers; the reading itself where it has none.
 
     Parameters
@@ -266,7 +266,7 @@ def calibrate(
     >>> lscan.calibrate(reading, "polynomial-5").plane_map.name
     'polynomial-5'
     """
-    known, sound = optics or NOTHING_KNOWN, screened(reading)
+    known, sound = optics or NOTHING_KNOWN, without_outliers(reading)
     solved = find_solver(map_name).solve(sound.reading, known)
     return calibration_by(map_name, solved, sound, known)
 
@@ -447,7 +447,11 @@ def try_maps(
         if progress is not None:
             progress(done, len(names))
         together = FEWER_FOLDS.get(name.partition("-")[0], 1) if folds > 2 else 1
-        trials.append(_tried(reading, name, optics, fold // together))
+        try:
+            trials.append(_trial(reading, find_solver(name), optics, fold // together))
+        except (InputError, BoardNotFound) as refusal:
+            none = np.full(len(fold), np.nan)
+            trials.append(Trial(Score(name, refused=str(refusal)), none))
     return _with_ties(trials)
 
 
@@ -473,25 +477,18 @@ def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
     return dealt[: len(different)][place.ravel()]
 
 
-def _tried(reading: BoardReading, name: str, optics: OpticsSection | None, fold: Ints) -> Trial:
-    try:
-        return _judged(reading, find_solver(name), optics, fold)
-    except (InputError, BoardNotFound) as refusal:
-        return Trial(Score(name, refused=str(refusal)), np.full(len(fold), np.nan))
-
-
-def _judged(
+def _trial(
     reading: BoardReading, solver: NamedSolver, optics: OpticsSection | None, fold: Ints
 ) -> Trial:
     marks = joined_marks(reading)
     error, sigma = np.full((2, len(fold), 2), np.nan)
     whole, ms = None, []
     if solver.searches:
-        whole, whole_ms = _timed(solver, reading, optics)
+        whole, whole_ms = _solve_timed(solver, reading, optics)
         solver = solver.near(whole)
     for number in np.unique(fold[marks.found]):
         held_out = marks.found & (fold == number)
-        plane_map, fold_ms = _timed(solver, without(reading, held_out), optics)
+        plane_map, fold_ms = _solve_timed(solver, without(reading, held_out), optics)
         ms.append(fold_ms if whole is None else whole_ms)
         points = plane_map.to_plane(marks.image_px[held_out])
         error[held_out], sigma[held_out] = points.xz_mm - marks.board_mm[held_out], points.sigma_mm
@@ -500,7 +497,7 @@ def _judged(
     return Trial(score, square, whole)
 
 
-def _timed(
+def _solve_timed(
     solver: NamedSolver, reading: BoardReading, optics: OpticsSection | None
 ) -> tuple[PlaneMap, float]:
     """The map solved from a reading, and the milliseconds it took."""

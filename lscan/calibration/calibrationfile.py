@@ -1,15 +1,16 @@
 """The calibration file: its JSON layout, strict reading, and writing whole or not at all.
 
-It holds format and version, model name, parameters with their covariances, what was known of
-the optics, the marks with their residuals, image size, software: data only, and all that is
-needed to solve the map again.
+There are three kinds, told by their format word: the plane map of one picture of the board, the
+metric calibration from several, and the camera of such a calibration alone.  Each holds the
+parameters with their covariances, what was known of the optics, the marks it rests on and what
+was left of them, image size and software: data only, and all that is needed to solve it again.
 """
 
 import json
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar, cast
 
 import numpy as np
 from pydantic import (
@@ -22,13 +23,13 @@ from pydantic import (
 )
 
 from lscan.calibration.calibrate import Calibration, residuals
-from lscan.calibration.metric.planemap import solver
-from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration, SolvedViews
+from lscan.calibration.metric.planemap import Metric
+from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
 from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
 from lscan.calibration.planemap import (
     STRICT,
     Count,
-    Gaps,
+    FloatsWithGaps,
     Matrix,
     NotNegativeOrNaN,
     Number,
@@ -47,7 +48,6 @@ from lscan.files.disk import read_json, write_atomically
 from lscan.records import (
     Axis,
     BoardReading,
-    Floats,
     Ints,
     Mark,
     Marks,
@@ -57,208 +57,57 @@ from lscan.records import (
 )
 
 FORMAT: Final = "lscan-calibration"
-VERSION: Final = 2  # 2: marks with status and sigma for dots and rings; optics
+METRIC_FORMAT: Final = "lscan-metric-calibration"
+CAMERA_FORMAT: Final = "lscan-camera-calibration"
 MOST_BYTES: Final = 32 * 2**20
-"""Of a calibration file of either route; those of the paper's board have half a megabyte."""
+"""Of a calibration file of any kind; those of the paper's board have half a megabyte."""
 SAME_MM = 1e-6  # residuals that belong to the parameters agree this well on any machine
 
-Side = Annotated[int, Field(strict=True, gt=0)]
+AnyCalibration = Calibration | MetricCalibration
 
 
-def _name(status: Any) -> Any:
-    return status.name if isinstance(status, Status) else status
-
-
-def _each(status: Any) -> Any:
-    return [Status(code) for code in status] if isinstance(status, np.ndarray) else status
-
-
-if TYPE_CHECKING:
-    Code = Status
-    Codes = Ints
-else:  # names in the file
-    Code = Annotated[
-        Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"],
-        BeforeValidator(_name),
-        AfterValidator(Status.__getitem__),
-        PlainSerializer(_name),
-    ]
-    Codes = Annotated[
-        tuple[Code, ...],
-        BeforeValidator(_each),
-        AfterValidator(partial(np.array, dtype=np.int64)),
-        PlainSerializer(lambda status: [Status(code).name for code in status]),
-    ]
-
-
-def _pairs(values: Floats) -> Floats:
-    if values.size and values.shape[1:] != (2,):
-        raise ValueError("must be a list of pairs")
-    return values.reshape(-1, 2)
-
-
-@dataclass(frozen=True)
-class StoredMarks(Marks):
-    """Marks that are in a file; ``null`` where one has no place."""
-
-    __pydantic_config__ = STRICT
-    board_mm: Matrix
-    image_px: Gaps
-    sigma_px: Sigmas
-    status: Codes
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless all are as many, with a place just where status is OK."""
-        count = len(self.status)
-        if self.board_mm.shape != (count, 2) or self.image_px.shape != (count, 2):
-            raise ValueError(f"board_mm and image_px must hold {count} pairs, one per status")
-        if self.sigma_px.shape != (count,):
-            raise ValueError(f"sigma_px must hold {count} numbers, one per status")
-        for values in (*self.image_px.T, self.sigma_px):
-            if (np.isfinite(values) != self.found).any():
-                raise ValueError("image_px and sigma_px must be numbers just where status is OK")
-
-
-@dataclass(frozen=True)
-class StoredMark(Mark):
-    """A mark that is in a file; ``null`` where it has no place."""
-
-    __pydantic_config__ = STRICT
-    image_px: Gaps
-    sigma_px: NotNegativeOrNaN
-    status: Code
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless it has a place just where status is OK."""
-        if self.image_px.shape != (2,):
-            raise ValueError("image_px must be two numbers")
-        if (np.isfinite([*self.image_px, self.sigma_px]) != (self.status == Status.OK)).any():
-            raise ValueError("image_px and sigma_px must be numbers just where status is OK")
-
-
-@dataclass(frozen=True)
-class StoredRing(RingPoints):
-    """Points of a ring that are in a file."""
-
-    __pydantic_config__ = STRICT
-    image_px: Annotated[Gaps, AfterValidator(_pairs)]
-    sigma_px: Sigmas
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless each point is finite and has its uncertainty."""
-        if self.sigma_px.shape != (len(self.image_px),):
-            raise ValueError("image_px must hold one pair for each number of sigma_px")
-        if not (np.isfinite(self.image_px).all() and np.isfinite(self.sigma_px).all()):
-            raise ValueError("image_px and sigma_px must be finite numbers")
-
-
-@dataclass(frozen=True)
-class StoredRuler(RulerReading):
-    """A ruler that is in a file."""
-
-    __pydantic_config__ = STRICT
-    direction: Literal["vertical", "horizontal"]
-    at_mm: Number
-    marks: StoredMarks
-
-
-class StoredReading(Strict):
-    """records.BoardReading."""
-
-    image_size: tuple[Side, Side]
-    pitch_mm: Annotated[PositiveFloat, Field(strict=True)]
-    shape: tuple[Side, Side]
-    grid: StoredMarks
-    rulers: tuple[StoredRuler, ...]
-    dots: dict[str, StoredMark]
-    rings: dict[str, StoredRing]
-
-    @model_validator(mode="after")
-    def _whole_grid(self) -> Self:
-        rows, columns = self.shape
-        if len(self.grid.status) != rows * columns:
-            raise ValueError(f"grid must hold {rows} by {columns} marks, as shape says")
-        return self
-
-    def reading(self) -> BoardReading:
-        """As the program holds it."""
-        return BoardReading(**dict(self))
-
-
-class StoredResiduals(Strict):
-    """Map of each control point less its nominal place, N pairs; ``null`` where there is none."""
-
-    mm: Gaps
-    px: Gaps
-
-
-class CalibrationFile(Strict):
-    """The whole file."""
-
-    format: Literal["lscan-calibration"] = FORMAT
-    version: Literal[2] = VERSION
-    software: str
-    plane_map: str
-    optics: OpticsSection
-    parameters: dict[str, Any]
-    reading: StoredReading
-    residuals: StoredResiduals
-    outliers_mm: tuple[Place, ...] = ()  # not in older files
-
-    @model_validator(mode="after")
-    def _one_residual_each(self) -> Self:
-        shape = self.reading.grid.image_px.shape
-        if self.residuals.mm.shape != shape or self.residuals.px.shape != shape:
-            raise ValueError(f"residuals must hold {shape[0]} pairs, one per control point")
-        return self
-
-
-def write_file(path: Path, content: Strict) -> None:
-    """Write a calibration whole or not at all.
+def load_plane_map(path: Path | str) -> tuple[PlaneMap, tuple[int, int]]:
+    """The plane map of a calibration file, and the (width, height) in px of its pictures.
 
     Parameters
     ----------
-    path : Path, of the file
-    content : Strict, the model of the file
+    path : Path or str, written by ``save_calibration``
 
     Raises
     ------
     InputError
-        Where the disk refuses.
-    """
-    text = json.dumps(content.model_dump(mode="json"), indent=1, allow_nan=False)
-    write_atomically(path, (text + "\n").encode())
-
-
-def save_calibration(path: Path | str, calibration: Calibration) -> None:
-    """Write the calibration to a file: a whole file or none.
-
-    Parameters
-    ----------
-    path : Path or str, of the file
-    calibration : Calibration, of one picture
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
+        Where the file is no calibration, or is not as it was written.
 
     Examples
     --------
     >>> import lscan
-    >>> calibration = lscan.calibrate_run(lscan.open_run("runs/board"), "projective")
-    >>> lscan.save_calibration("projective.json", calibration)
+    >>> plane_map, size_px = lscan.load_plane_map("calibration.json")
+    >>> plane_map.name, size_px
+    ('graticule-2', (640, 480))
     """
-    content = CalibrationFile(
-        software=calibration.software,
-        plane_map=calibration.name,
-        optics=calibration.optics,
-        parameters=calibration.plane_map.parameters(),
-        reading=check(StoredReading, asdict(calibration.reading), where="board reading"),
-        residuals=StoredResiduals(mm=calibration.residuals_mm, px=calibration.residuals_px),
-        outliers_mm=tuple(calibration.outliers_mm),
-    )
-    write_file(Path(path), content)
+    calibration = load_any(path)
+    return calibration.plane_map, calibration.image_size
+
+
+def load_any(path: Path | str) -> AnyCalibration:
+    """The calibration of a file, from one picture or from several.
+
+    Parameters
+    ----------
+    path : Path or str, written by ``save_calibration``
+
+    Raises
+    ------
+    InputError
+        Where the file is no calibration, or is not as it was written.
+    """
+    path = Path(path)
+    content: CalibrationFile | MetricFile | CameraFile
+    content = _content(path, CalibrationFile, MetricFile, CameraFile)
+    if isinstance(content, CameraFile):
+        allowed = f"lscan calibrate-metric VIEWS.toml --camera {path.name} -o FILE"
+        raise InputError("holds a camera alone, no laser sheet", where=path, allowed=allowed)
+    return content.calibration(path)
 
 
 def load_calibration(path: Path | str) -> Calibration:
@@ -282,201 +131,11 @@ def load_calibration(path: Path | str) -> Calibration:
     >>> calibration.plane_map.name
     'graticule-2'
     """
-    return calibration_of(read_json(Path(path), MOST_BYTES), Path(path))
-
-
-def calibration_of(document: Any, path: Path) -> Calibration:
-    """The calibration in the JSON document of a file.
-
-    Parameters
-    ----------
-    document : object, as JSON has it
-    path : Path, of the file, for messages
-
-    Raises
-    ------
-    InputError
-        As ``load_calibration``.
-    """
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        found = document.get("format") if isinstance(document, dict) else None
-        raise InputError(
-            "is no calibration file", where=path, value=found, allowed=f'format "{FORMAT}"'
-        )
-    version = document.get("version")
-    if type(version) is not int or version != VERSION:
-        raise InputError(
-            "version: is not the one this program writes; calibrate again from the picture",
-            where=path,
-            value=version,
-            allowed=VERSION,
-        )
-    content = check(CalibrationFile, document, where=path)
-    reading, stored = content.reading.reading(), content.residuals
-    with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
-        try:
-            plane_map = find_solver(content.plane_map).restore(content.parameters)
-        except InputError as error:
-            raise InputError(f"plane_map: {error}", where=path) from error
-        computed, _ = residuals(plane_map, reading)
-    if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
-        raise InputError("residuals.mm: do not belong to the parameters", where=path)
-    return Calibration(
-        name=content.plane_map,
-        plane_map=plane_map,
-        reading=reading,
-        residuals_mm=stored.mm,
-        residuals_px=stored.px,
-        optics=content.optics,
-        software=content.software,
-        outliers_mm=np.array(content.outliers_mm, dtype=float).reshape(-1, 2),
-    )
-
-
-# The files of the metric route: a metric calibration, or a camera alone, and all it rests on.
-
-
-METRIC_FORMAT: Final = "lscan-metric-calibration"
-CAMERA_FORMAT: Final = "lscan-camera-calibration"
-METRIC_VERSION = 1
-ALIKE = ("software", "image_size", "optics", "k3")  # what a file and solve.SolvedViews name alike
-
-
-@dataclass(frozen=True)
-class StoredLine(LinePoints):
-    """The line of a view that is in a file."""
-
-    __pydantic_config__ = STRICT
-    image_px: Matrix
-    sigma_px: Vector
-    axis: Axis
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless each point has its uncertainty, above 0."""
-        count = len(self.sigma_px)
-        if self.image_px.shape != (count, 2):
-            raise ValueError(f"image_px must hold {count} pairs, one for each of sigma_px")
-        if (self.sigma_px <= 0).any():
-            raise ValueError("sigma_px must be above 0")
-
-
-class StoredView(Strict):
-    """views.FittedView; ``null`` for a root mean square of nothing."""
-
-    name: str
-    marks: StoredMarks | None
-    line: StoredLine | None
-    fault: str
-    used: bool
-    marks_used: Count
-    rms_px: NotNegativeOrNaN
-    line_used: bool
-    line_points_used: Count
-    line_rms_mm: NotNegativeOrNaN
-    reason: str
-
-    @model_validator(mode="after")
-    def _used_what_there_is(self) -> Self:
-        if self.used and (self.marks is None or np.isnan(self.rms_px) or not self.marks_used):
-            raise ValueError("used must be false without marks, marks_used and rms_px")
-        if self.line_used and (self.line is None or np.isnan(self.line_rms_mm) or not self.used):
-            raise ValueError("line_used must be false without a used view, line and line_rms_mm")
-        return self
-
-    def view(self) -> FittedView:
-        """As the program holds it."""
-        return FittedView(**dict(self))
-
-
-class StoredViews(Strict):
-    """What both files hold: solve.SolvedViews, its sigma as camera_sigma."""
-
-    format: str
-    version: Annotated[int, Field(strict=True, ge=1, le=METRIC_VERSION)]
-    software: str
-    image_size: tuple[Side, Side]
-    optics: OpticsSection
-    k3: Known
-    camera_sigma: Vector
-    views: tuple[StoredView, ...]
-
-    @model_validator(mode="after")
-    def _whole(self) -> Self:
-        if self.camera_sigma.shape != (COUNT,) or (self.camera_sigma < 0).any():
-            raise ValueError(f"camera_sigma must be {COUNT} numbers not below 0")
-        return self
-
-    def solved(self) -> dict[str, Any]:
-        """The fields of a SolvedViews."""
-        views = tuple(view.view() for view in self.views)
-        alike = {name: getattr(self, name) for name in ALIKE}
-        return alike | {"sigma": self.camera_sigma, "views": views}
-
-
-class MetricFile(StoredViews):
-    """The file of a metric calibration."""
-
-    format: Literal["lscan-metric-calibration"] = METRIC_FORMAT
-    plane_map: Literal["metric"]
-    parameters: dict[str, Any]
-
-    @model_validator(mode="after")
-    def _has_a_line(self) -> Self:
-        if not any(view.line_used for view in self.views):
-            raise ValueError("views must hold a line that was used")
-        return self
-
-
-class CameraFile(StoredViews):
-    """The file of a camera alone.  camera: the parameters of camera and port, by name."""
-
-    format: Literal["lscan-camera-calibration"] = CAMERA_FORMAT
-    camera: Annotated[dict[str, Number], AfterValidator(partial(check_theta, names=CAMERA))]
-
-    @model_validator(mode="after")
-    def _has_a_view(self) -> Self:
-        if not any(view.used for view in self.views):
-            raise ValueError("views must hold one that was used")
-        return self
-
-
-Content = TypeVar("Content", bound=StoredViews)
-
-
-def _stored(calibration: SolvedViews) -> dict[str, Any]:
-    """The fields of a StoredViews, but for its format."""
-    views = tuple(StoredView.model_validate(asdict(view)) for view in calibration.views)
-    alike = {name: getattr(calibration, name) for name in ALIKE}
-    return alike | {"version": METRIC_VERSION, "camera_sigma": calibration.sigma, "views": views}
-
-
-def _content(document: Any, model: type[Content], what: str, path: Path) -> Content:
-    """The document as a model; InputError where it is of another format, or not as written."""
-    wanted = model.model_fields["format"].default
-    if not isinstance(document, dict) or document.get("format") != wanted:
-        raise InputError(f"is no {what} calibration", where=path, allowed=f'format "{wanted}"')
-    return check(model, document, where=path)
-
-
-def save_metric(path: Path, calibration: MetricCalibration) -> None:
-    """Write the calibration to a file: a whole file or none.
-
-    Parameters
-    ----------
-    path : Path, of the file
-    calibration : MetricCalibration, with its views
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
-    parameters = calibration.plane_map.parameters()
-    write_file(path, MetricFile(plane_map="metric", parameters=parameters, **_stored(calibration)))
+    return _content(Path(path), CalibrationFile).calibration(Path(path))
 
 
 def load_metric(path: Path) -> MetricCalibration:
-    """The calibration that was saved in a file; it can be solved again from what it holds.
+    """The metric calibration that was saved in a file; it can be solved again from what it holds.
 
     Parameters
     ----------
@@ -487,46 +146,7 @@ def load_metric(path: Path) -> MetricCalibration:
     InputError
         Names the file and the key of anything that is not as it was written.
     """
-    return metric_of(read_json(path, MOST_BYTES), path)
-
-
-def metric_of(document: Any, path: Path) -> MetricCalibration:
-    """The calibration in the JSON document of a file.
-
-    Parameters
-    ----------
-    document : object, as JSON has it
-    path : Path, of the file, for messages
-
-    Raises
-    ------
-    InputError
-        As ``load_metric``.
-    """
-    content = _content(document, MetricFile, "metric", path)
-    try:
-        with np.errstate(all="ignore"):  # of numbers that make no map
-            plane_map = solver.restore("", content.parameters)
-    except InputError as error:
-        raise InputError(str(error), where=path) from error
-    return MetricCalibration(plane_map=plane_map, **content.solved())
-
-
-def save_camera(path: Path, calibration: CameraCalibration) -> None:
-    """Write a camera alone to a file: a whole file or none.
-
-    Parameters
-    ----------
-    path : Path, of the file
-    calibration : CameraCalibration, with its views
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
-    camera = dict(zip(CAMERA, calibration.theta.tolist(), strict=True))
-    write_file(path, CameraFile(camera=camera, **_stored(calibration)))
+    return _content(path, MetricFile).calibration(path)
 
 
 def load_camera(path: Path) -> CameraCalibration:
@@ -541,8 +161,56 @@ def load_camera(path: Path) -> CameraCalibration:
     InputError
         Names the file and the key of anything that is not as it was written.
     """
-    content = _content(read_json(path, MOST_BYTES), CameraFile, "camera", path)
-    return CameraCalibration(theta=np.array(list(content.camera.values())), **content.solved())
+    content = _content(path, CameraFile)
+    return CameraCalibration(theta=np.array([*content.camera.values()]), **content.solved())
+
+
+def save_calibration(path: Path | str, calibration: AnyCalibration | CameraCalibration) -> None:
+    """Write the calibration to a file: a whole file or none.
+
+    Parameters
+    ----------
+    path : Path or str, of the file
+    calibration : Calibration, MetricCalibration or CameraCalibration
+
+    Raises
+    ------
+    InputError
+        Where the file cannot be written.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> calibration = lscan.calibrate_run(lscan.open_run("runs/board"), "projective")
+    >>> lscan.save_calibration("projective.json", calibration)
+    """
+    model: type[Strict] = CalibrationFile
+    fields: dict[str, Any]
+    if isinstance(calibration, Calibration):
+        fields = {
+            "plane_map": calibration.name,
+            "parameters": calibration.plane_map.parameters(),
+            "reading": asdict(calibration.reading),
+            "residuals": {"mm": calibration.residuals_mm, "px": calibration.residuals_px},
+            "outliers_mm": tuple(calibration.outliers_mm),
+        }
+    else:
+        fields = {
+            "image_size": calibration.image_size,
+            "k3": calibration.k3,
+            "camera_sigma": calibration.sigma,
+            "views": tuple(map(asdict, calibration.views)),
+        }
+        if isinstance(calibration, CameraCalibration):
+            model = CameraFile
+            fields["camera"] = dict(zip(CAMERA, calibration.theta.tolist(), strict=True))
+        else:
+            model = MetricFile
+            fields |= {"plane_map": "metric", "parameters": calibration.plane_map.parameters()}
+    fields |= {"software": calibration.software, "optics": calibration.optics}
+    content = check(model, fields, where=path).model_dump(mode="json")
+    text = json.dumps(content, indent=1, allow_nan=False)
+    write_atomically(Path(path), (text + "\n").encode())
 
 
 def require_same_camera(
@@ -575,72 +243,282 @@ def require_same_camera(
             )
 
 
-# The calibration of a file, whichever route made it.
+# What the files hold: the records, their arrays as lists and ``null`` for NaN.
 
 
-AnyCalibration = Calibration | MetricCalibration
+Side = Annotated[int, Field(strict=True, gt=0)]
 
 
-def load_any(path: Path | str) -> AnyCalibration:
-    """The calibration of a file.
+if TYPE_CHECKING:
+    Code = Status
+    Codes = Ints
+else:  # names in the file
+    Code = Annotated[
+        Literal["OK", "NOT_FOUND", "OUT_OF_VIEW"],
+        BeforeValidator(lambda code: getattr(code, "name", code)),
+        AfterValidator(Status.__getitem__),
+        PlainSerializer(lambda code: code.name),
+    ]
+    Codes = Annotated[
+        tuple[Code, ...],
+        BeforeValidator(lambda codes: [*map(Status, codes)] if hasattr(codes, "dtype") else codes),
+        AfterValidator(partial(np.array, dtype=np.int64)),
+        PlainSerializer(lambda codes: [Status(code).name for code in codes]),
+    ]
 
-    Parameters
-    ----------
-    path : Path or str, written by ``save_calibration`` or by ``save_metric``
 
-    Raises
-    ------
-    InputError
-        Where the file is no calibration, or is not as it was written.
-    """
-    path = Path(path)
+class StoredPlaces:
+    """Base of the records with places in the picture, as they are in a file."""
+
+    __pydantic_config__ = STRICT
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless each place has its sigma, and both just where status is OK."""
+        record: Any = self
+        image_px, sigma_px = record.image_px, np.atleast_1d(record.sigma_px)
+        if isinstance(record, Mark):
+            image_px = image_px[None]
+        found = np.atleast_1d(getattr(record, "status", np.zeros_like(sigma_px))) == Status.OK
+        count = len(found)
+        if image_px.shape != (count, 2) or sigma_px.shape != (count,):
+            each = f"for each of {count} places"
+            raise ValueError(f"image_px must hold one pair, and sigma_px one number, {each}")
+        if isinstance(record, Marks) and record.board_mm.shape != (count, 2):
+            raise ValueError(f"board_mm must hold {count} pairs, one per status")
+        if (np.isfinite([*image_px.T, sigma_px]) != found).any():
+            raise ValueError("image_px and sigma_px must be numbers, null where status is not OK")
+
+
+@dataclass(frozen=True)
+class StoredMarks(StoredPlaces, Marks):
+    """Marks that are in a file; ``null`` where one has no place."""
+
+    board_mm: Matrix
+    image_px: FloatsWithGaps
+    sigma_px: Sigmas
+    status: Codes
+
+
+@dataclass(frozen=True)
+class StoredMark(StoredPlaces, Mark):
+    """A mark that is in a file; ``null`` where it has no place."""
+
+    image_px: FloatsWithGaps
+    sigma_px: NotNegativeOrNaN
+    status: Code
+
+
+@dataclass(frozen=True)
+class StoredRing(StoredPlaces, RingPoints):
+    """Points of a ring that are in a file."""
+
+    image_px: Annotated[
+        FloatsWithGaps, AfterValidator(lambda px: px if px.size else px.reshape(0, 2))
+    ]
+    sigma_px: Sigmas
+
+
+@dataclass(frozen=True)
+class StoredRuler(RulerReading):
+    """A ruler that is in a file."""
+
+    __pydantic_config__ = STRICT
+    direction: Literal["vertical", "horizontal"]
+    at_mm: Number
+    marks: StoredMarks
+
+
+class StoredReading(Strict):
+    """records.BoardReading."""
+
+    image_size: tuple[Side, Side]
+    pitch_mm: Annotated[PositiveFloat, Field(strict=True)]
+    shape: tuple[Side, Side]
+    grid: StoredMarks
+    rulers: tuple[StoredRuler, ...]
+    dots: dict[str, StoredMark]
+    rings: dict[str, StoredRing]
+
+    @model_validator(mode="after")
+    def _whole_grid(self) -> Self:
+        rows, columns = self.shape
+        if len(self.grid.status) != rows * columns:
+            raise ValueError(f"grid must hold {rows} by {columns} marks, as shape says")
+        return self
+
+
+class StoredResiduals(Strict):
+    """Map of each control point less its nominal place, N pairs; ``null`` where there is none."""
+
+    mm: FloatsWithGaps
+    px: FloatsWithGaps
+
+
+@dataclass(frozen=True)
+class StoredLine(StoredPlaces, LinePoints):
+    """The line of a view that is in a file."""
+
+    image_px: Matrix
+    sigma_px: Vector
+    axis: Axis
+
+    def __post_init__(self) -> None:
+        """Raise ValueError unless each point has its uncertainty, above 0."""
+        super().__post_init__()
+        if (self.sigma_px <= 0).any():
+            raise ValueError("sigma_px must be above 0")
+
+
+class StoredView(Strict):
+    """views.FittedView; ``null`` for a root mean square of nothing."""
+
+    name: str
+    marks: StoredMarks | None
+    line: StoredLine | None
+    fault: str
+    used: bool
+    marks_used: Count
+    rms_px: NotNegativeOrNaN
+    line_used: bool
+    line_points_used: Count
+    line_rms_mm: NotNegativeOrNaN
+    reason: str
+
+    @model_validator(mode="after")
+    def _used_what_there_is(self) -> Self:
+        if self.used and (self.marks is None or np.isnan(self.rms_px) or not self.marks_used):
+            raise ValueError("used must be false without marks, marks_used and rms_px")
+        if self.line_used and (self.line is None or np.isnan(self.line_rms_mm) or not self.used):
+            raise ValueError("line_used must be false without a used view, line and line_rms_mm")
+        return self
+
+
+class CalibrationFile(Strict):
+    """The file of a calibration from one picture."""
+
+    format: Literal["lscan-calibration"] = FORMAT
+    version: Literal[2] = 2  # 2: marks with status and sigma for dots and rings; optics
+    software: str
+    plane_map: str
+    optics: OpticsSection
+    parameters: dict[str, Any]
+    reading: StoredReading
+    residuals: StoredResiduals
+    outliers_mm: tuple[Place, ...] = ()  # not in older files
+
+    @model_validator(mode="after")
+    def _one_residual_each(self) -> Self:
+        shape = self.reading.grid.image_px.shape
+        if self.residuals.mm.shape != shape or self.residuals.px.shape != shape:
+            raise ValueError(f"residuals must hold {shape[0]} pairs, one per control point")
+        return self
+
+    def calibration(self, path: Path) -> Calibration:
+        """As the program holds it; InputError where map and residuals do not belong together."""
+        reading, stored = BoardReading(**dict(self.reading)), self.residuals
+        plane_map = _plane_map(self, path)
+        with np.errstate(all="ignore"):  # numbers that make no map do not give these residuals
+            computed, _ = residuals(plane_map, reading)
+        if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
+            raise InputError("residuals.mm: do not belong to the parameters", where=path)
+        return Calibration(
+            name=self.plane_map,
+            plane_map=plane_map,
+            reading=reading,
+            residuals_mm=stored.mm,
+            residuals_px=stored.px,
+            optics=self.optics,
+            software=self.software,
+            outliers_mm=np.array(self.outliers_mm, dtype=float).reshape(-1, 2),
+        )
+
+
+class StoredViews(Strict):
+    """What both files of the metric route hold: solve.SolvedViews, its sigma as camera_sigma."""
+
+    format: str
+    version: Literal[1] = 1
+    software: str
+    image_size: tuple[Side, Side]
+    optics: OpticsSection
+    k3: Known
+    camera_sigma: Vector
+    views: tuple[StoredView, ...]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        if self.camera_sigma.shape != (COUNT,) or (self.camera_sigma < 0).any():
+            raise ValueError(f"camera_sigma must be {COUNT} numbers not below 0")
+        return self
+
+    def solved(self) -> dict[str, Any]:
+        """The fields of a SolvedViews."""
+        return {
+            "software": self.software,
+            "image_size": self.image_size,
+            "optics": self.optics,
+            "k3": self.k3,
+            "sigma": self.camera_sigma,
+            "views": tuple(FittedView(**dict(view)) for view in self.views),
+        }
+
+
+class MetricFile(StoredViews):
+    """The file of a metric calibration."""
+
+    format: Literal["lscan-metric-calibration"] = METRIC_FORMAT
+    plane_map: Literal["metric"]
+    parameters: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _has_a_line(self) -> Self:
+        if not any(view.line_used for view in self.views):
+            raise ValueError("views must hold a line that was used")
+        return self
+
+    def calibration(self, path: Path) -> MetricCalibration:
+        """As the program holds it; InputError where the parameters make no map."""
+        plane_map = cast(Metric, _plane_map(self, path))
+        return MetricCalibration(plane_map=plane_map, **self.solved())
+
+
+class CameraFile(StoredViews):
+    """The file of a camera alone.  camera: the parameters of camera and port, by name."""
+
+    format: Literal["lscan-camera-calibration"] = CAMERA_FORMAT
+    camera: Annotated[dict[str, Number], AfterValidator(partial(check_theta, names=CAMERA))]
+
+    @model_validator(mode="after")
+    def _has_a_view(self) -> Self:
+        if not any(view.used for view in self.views):
+            raise ValueError("views must hold one that was used")
+        return self
+
+
+File = TypeVar("File", bound=CalibrationFile | MetricFile | CameraFile)
+
+
+def _content(path: Path, *models: type[File]) -> File:
+    """The file as that of the models whose format word it has; InputError where there is none."""
     document = read_json(path, MOST_BYTES)
     kind = document.get("format") if isinstance(document, dict) else None
-    if kind == CAMERA_FORMAT:
-        allowed = f"lscan calibrate-metric VIEWS.toml --camera {path.name} -o FILE"
-        raise InputError("holds a camera alone, no laser sheet", where=path, allowed=allowed)
-    if kind == FORMAT:
-        return metric_of(document, path)
-    return calibration_of(document, path)
+    formats = {model.model_fields["format"].default: model for model in models}
+    model = formats.get(str(kind))
+    if model is None:
+        wanted = next(iter(formats))
+        what = f"is no {wanted.removeprefix('lscan-').replace('-', ' ')} file"
+        raise InputError(what, where=path, value=kind, allowed=f'format "{wanted}"')
+    version, written = document.get("version"), model.model_fields["version"].default
+    if type(version) is not int or version != written:
+        what = "version: is not the one this program writes; calibrate again from the pictures"
+        raise InputError(what, where=path, value=version, allowed=written)
+    return check(model, document, where=path)
 
 
-def save_any(path: Path, calibration: AnyCalibration) -> None:
-    """Write a calibration to a file: a whole file or none.
-
-    Parameters
-    ----------
-    path : Path, of the file
-    calibration : Calibration or MetricCalibration
-
-    Raises
-    ------
-    InputError
-        Where the file cannot be written.
-    """
-    if isinstance(calibration, MetricCalibration):
-        save_metric(path, calibration)
-    else:
-        save_calibration(path, calibration)
-
-
-def load_plane_map(path: Path | str) -> tuple[PlaneMap, tuple[int, int]]:
-    """The plane map of a calibration file, and the (width, height) in px of its pictures.
-
-    Parameters
-    ----------
-    path : Path or str, written by ``save_calibration`` or by ``save_metric``
-
-    Raises
-    ------
-    InputError
-        Where the file is no calibration, or is not as it was written.
-
-    Examples
-    --------
-    >>> import lscan
-    >>> plane_map, size_px = lscan.load_plane_map("calibration.json")
-    >>> plane_map.name, size_px
-    ('graticule-2', (640, 480))
-    """
-    calibration = load_any(path)
-    return calibration.plane_map, calibration.image_size
+def _plane_map(content: CalibrationFile | MetricFile, path: Path) -> PlaneMap:
+    """The map of the parameters; InputError where they make none."""
+    with np.errstate(all="ignore"):
+        try:
+            return find_solver(content.plane_map).restore(content.parameters)
+        except InputError as error:
+            raise InputError(f"plane_map: {error}", where=path) from error

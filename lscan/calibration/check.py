@@ -99,7 +99,7 @@ ALLOWED = "a refractive or metric map, or a calibration of the same water and ri
 SAME_INDEX = 1e-4  # a difference of a degree; it changes 300 mm by 0.02 mm
 
 
-def carried(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
+def map_for_rig(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
     """The map for the pictures of a rig: in its water, with what may have changed since.
 
     Parameters
@@ -115,7 +115,7 @@ def carried(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
     plane_map, since = in_water_of(plane_map, rig.optics), rig.since_calibration
     if since is None or not any(dict(since).values()):
         return plane_map
-    return with_chosen(plane_map, lambda solved: _changed(solved, since))
+    return with_chosen(plane_map, lambda solved: _with_changes_since(solved, since))
 
 
 def in_water_of(plane_map: PlaneMap, optics: OpticsSection) -> PlaneMap:
@@ -134,7 +134,7 @@ def in_water_of(plane_map: PlaneMap, optics: OpticsSection) -> PlaneMap:
     InputError
         For a map that does not know the physics.
     """
-    return with_chosen(plane_map, lambda solved: _moved(solved, optics))
+    return with_chosen(plane_map, lambda solved: _in_stated_water(solved, optics))
 
 
 def with_chosen(plane_map: PlaneMap, change: Callable[[SolvedMap], SolvedMap]) -> PlaneMap:
@@ -152,7 +152,7 @@ def with_chosen(plane_map: PlaneMap, change: Callable[[SolvedMap], SolvedMap]) -
     return change(plane_map) if isinstance(plane_map, SolvedMap) else plane_map
 
 
-def _moved(solved: SolvedMap, optics: OpticsSection) -> SolvedMap:
+def _in_stated_water(solved: SolvedMap, optics: OpticsSection) -> SolvedMap:
     water, own = stated_water(optics), solved.stated_water
     if water is None or water == own or optics.port == "none":
         return solved
@@ -169,9 +169,9 @@ def _moved(solved: SolvedMap, optics: OpticsSection) -> SolvedMap:
     )
 
 
-def _changed(solved: SolvedMap, since: SinceSection) -> SolvedMap:
+def _with_changes_since(solved: SolvedMap, since: SinceSection) -> SolvedMap:
     if isinstance(solved, PhysicalMap):
-        return solved.changed_since(since)
+        return solved.with_changes_since(since)
     raise InputError(
         "says of the rig what this plane map knows nothing of",
         where="since_calibration",
@@ -344,7 +344,7 @@ def require_comparable(
         )
 
 
-def _found(reading: BoardReading) -> tuple[np.ndarray, Floats, Floats, Floats]:
+def _named_marks(reading: BoardReading) -> tuple[np.ndarray, Floats, Floats, Floats]:
     """Names (N,), nominal (N, 2) mm, image (N, 2) px and sigma (N,) px of all marks found."""
     columns = reading.shape[1]
     names = [
@@ -398,7 +398,7 @@ def compare(plane_map: PlaneMap, reading: BoardReading) -> ComparedMarks:
     MeasurementError
         Where fewer than six marks get a value.
     """
-    names, nominal, image, sigma_px = _found(reading)
+    names, nominal, image, sigma_px = _named_marks(reading)
     valued = plane_map.to_plane(image, sigma_px).status == Status.OK
     if valued.sum() < LEAST_MARKS:
         raise MeasurementError(
@@ -502,7 +502,7 @@ WATER_INDEX = (1.32, 1.36)
 1995, and 0.0015 more 100 m down; the rest is for what a calibration's port may be off."""
 
 
-def proposed(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
+def fitting_corrections(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
     """What corrects what a check found; nothing where the calibration holds.
 
     A wrong scale is put down to the index of the water where that leaves less of the residuals than
@@ -514,21 +514,19 @@ def proposed(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
     """
     kinds: list[CorrectionKind] = []
     if "scale" in found.reasons:
-        kinds.append("index" if _by_water(found) else "scale")
+        index = found.index
+        by_water = (
+            index is not None
+            and WATER_INDEX[0] <= index.index <= WATER_INDEX[1]
+            and index.chi_square < found.chi_square
+        )
+        kinds.append("index" if by_water else "scale")
     if "shift" in found.reasons:
         kinds.append("shift")
     return tuple(kinds)
 
 
-def _by_water(found: CalibrationCheck) -> bool:
-    """Whether another index of the water explains the scale, and better than a scale does."""
-    index = found.index
-    if index is None or not WATER_INDEX[0] <= index.index <= WATER_INDEX[1]:
-        return False
-    return index.chi_square < found.chi_square
-
-
-def corrected(
+def corrected_calibration(
     calibration: AnyCalibration,
     reading: BoardReading,
     kinds: Sequence[CorrectionKind],
@@ -567,7 +565,10 @@ def corrected(
     plane_map = in_water_of(calibration.plane_map, optics or NOTHING_KNOWN)
     for kind in kinds:
         plane_map = _with(plane_map, kind, compare(plane_map, reading), placed_mm or 0.0)
-    left_mm = _left_mm(compare(plane_map, reading))
+    marks = compare(plane_map, reading)
+    missed = marks.points.xz_mm - marks.fit.motion.apply(marks.nominal_mm)
+    excess = np.mean(missed**2, axis=0) - np.mean(marks.points.sigma_mm**2, axis=0)
+    left_mm = np.sqrt(np.maximum(excess, 0.0))  # (2,) rms beyond what the map states
     plane_map = with_chosen(
         plane_map,
         lambda solved: solved.model_copy(
@@ -613,13 +614,6 @@ def _with(
             value=plane_map.name,
         )
     return changed
-
-
-def _left_mm(marks: ComparedMarks) -> Floats:
-    """(2,) rms in x and z of what the map misses of the marks, less what it states."""
-    missed = marks.points.xz_mm - marks.fit.motion.apply(marks.nominal_mm)
-    excess = np.mean(missed**2, axis=0) - np.mean(marks.points.sigma_mm**2, axis=0)
-    return np.sqrt(np.maximum(excess, 0.0))
 
 
 def _with_index(solved: SolvedMap, marks: ComparedMarks) -> SolvedMap:

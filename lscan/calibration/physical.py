@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander, chebvander2d
 from pydantic import PrivateAttr
 
-from lscan.calibration.planemap import Estimate, Region, SolvedMap, propagated
+from lscan.calibration.planemap import Estimate, Region, SolvedMap, estimate_of
 from lscan.camera import rays
 from lscan.camera.optics import meet_plane
 from lscan.camera.posedboards import CAMERA, PortKind, camera_of, rotation
@@ -68,7 +68,7 @@ class PixelTable:
         return values[: len(image_px)]
 
 
-def tabulated(function: Callable[[Floats], Floats], region: Region) -> PixelTable | None:
+def pixel_table(function: Callable[[Floats], Floats], region: Region) -> PixelTable | None:
     """The table of a function over a region of the picture; None where it is not so smooth.
 
     Parameters
@@ -144,7 +144,7 @@ class SheetGeometry:
         points = meet_plane(rays(camera_of(self.theta, self.port), image_px), normal, place)
         return (points - self.place_mm) @ self.axes[:, [0, 2]] + self.at_mm
 
-    def turned(self, turn_rad: Floats) -> "SheetGeometry":
+    def with_camera_turned(self, turn_rad: Floats) -> "SheetGeometry":
         """The same with the camera turned about its pinhole.
 
         Parameters
@@ -210,14 +210,14 @@ class PhysicalMap(SolvedMap):
         """
         if self._tables is None:
             self._tables = (
-                tabulated(self._jacobian, self.region),
-                tabulated(self._all_modes, self.region),
+                pixel_table(self._jacobian, self.region),
+                pixel_table(self._all_modes, self.region),
             )
         by_pixel, by_error = self._tables
         jacobian = by_pixel.look_up(image_px) if by_pixel else self._jacobian(image_px)
         modes = by_error.look_up(image_px) if by_error else self._all_modes(image_px)
         xz_mm, shape = self.geometry.locate(image_px), (len(image_px), 2)
-        return propagated(
+        return estimate_of(
             xz_mm,
             jacobian.reshape(*shape, 2),
             modes.reshape(*shape, modes.shape[1] // 2),
@@ -245,7 +245,7 @@ class PhysicalMap(SolvedMap):
         """
         return self.geometry.locate(image_px)
 
-    def changed_since(self, since: SinceSection) -> Self:
+    def with_changes_since(self, since: SinceSection) -> Self:
         """The map with what may have changed in its uncertainty.
 
         Parameters
@@ -268,7 +268,7 @@ class PhysicalMap(SolvedMap):
         other._tables = None
         return other
 
-    def _replaced(self, **fields: Any) -> Self:
+    def _with_fields(self, **fields: Any) -> Self:
         """A map with other fields, and nothing computed from the old ones (model_copy keeps it).
 
         InputError where the fields make no map, as where nothing is seen through the other water.
@@ -291,13 +291,17 @@ def change_modes(geometry: SheetGeometry, since: SinceSection, image_px: Floats)
     modes = [
         (after.locate(image_px) - before.locate(image_px)) / (2 * MODE_STEP)
         for after, before in zip(
-            _changed(geometry, since, MODE_STEP), _changed(geometry, since, -MODE_STEP), strict=True
+            _geometries_after(geometry, since, MODE_STEP),
+            _geometries_after(geometry, since, -MODE_STEP),
+            strict=True,
         )
     ]
     return np.stack(modes, axis=2) if modes else np.zeros((len(image_px), 2, 0))
 
 
-def _changed(geometry: SheetGeometry, since: SinceSection, share: float) -> Iterator[SheetGeometry]:
+def _geometries_after(
+    geometry: SheetGeometry, since: SinceSection, share: float
+) -> Iterator[SheetGeometry]:
     """The geometry after each change that may be, by a share of its standard uncertainty."""
     if since.sheet_shift_mm:
         yield replace(geometry, shift_mm=share * since.sheet_shift_mm)
@@ -307,7 +311,7 @@ def _changed(geometry: SheetGeometry, since: SinceSection, share: float) -> Iter
         yield replace(geometry, turn_rad=(0.0, turn))
     if since.camera_tilt_deg:
         for axis in np.eye(3):
-            yield geometry.turned(share * np.radians(since.camera_tilt_deg) * axis)
+            yield geometry.with_camera_turned(share * np.radians(since.camera_tilt_deg) * axis)
     changes: dict[str, Any] = {"focal_px": since.focal_percent / 100 * geometry.theta[0]}
     if geometry.port == "flat":
         changes |= dict.fromkeys(("tilt_x_deg", "tilt_y_deg"), since.port_tilt_deg)

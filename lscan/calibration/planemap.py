@@ -6,7 +6,7 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
@@ -244,26 +244,23 @@ NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 
 
-_LISTS_OF: dict[int, tuple[TypeAdapter[Any], str]] = {
-    1: (TypeAdapter(list[Number]), "a list of finite numbers"),
-    2: (TypeAdapter(list[list[Number]]), "rows of finite numbers, all of one length"),
+_LISTS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
+_ALLOWED = {
+    1: "a list of finite numbers",
+    2: "rows of finite numbers, all of one length",
+    None: "finite numbers or nulls, all rows of one length",
 }
-_LISTS_WITH_GAPS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
 
 
-def _read(lists: TypeAdapter[Any], value: Any, allowed: str) -> Floats:
-    """An array of what JSON holds; ValueError where it is not as allowed, or rows differ."""
+def _array(value: Any, dimensions: int | None) -> Floats:
+    """An array of what JSON holds; dimensions None: 1 or 2, with ``null`` for NaN."""
     try:
-        return np.array(lists.validate_python(value), dtype=float)
+        lists = value if isinstance(value, np.ndarray) else _LISTS.validate_python(value)
+        array: Floats = np.asarray(lists, dtype=float)
+        if dimensions and (array.ndim != dimensions or not np.isfinite(array).all()):
+            raise ValueError
     except (ValueError, OverflowError) as error:
-        raise ValueError(f"must be {allowed}") from error
-
-
-def _numbers(value: Any, dimensions: int) -> Floats:
-    lists, allowed = _LISTS_OF[dimensions]
-    array = value if isinstance(value, np.ndarray) else _read(lists, value, allowed)
-    if array.ndim != dimensions or not np.isfinite(array).all():
-        raise ValueError(f"must be {allowed}")
+        raise ValueError(f"must be {_ALLOWED[dimensions]}") from error
     return array
 
 
@@ -300,38 +297,28 @@ def none_negative(array: Floats) -> Floats:
     return array
 
 
-def _with_gaps(value: Any) -> Floats:
-    """Like the others, but ``null`` stands for NaN."""
-    if isinstance(value, np.ndarray):
-        return value
-    return _read(_LISTS_WITH_GAPS, value, "finite numbers or nulls, all rows of one length")
-
-
-def _nan_for_none(value: Any, read: Callable[[Any], float]) -> float:
-    return np.nan if value is None or value != value else read(value)
-
-
-def _none_for_nan(value: float) -> float | None:
-    return None if np.isnan(value) else value
-
-
-def _plain_with_gaps(array: Floats) -> list[Any]:
+def _plain(array: Floats) -> list[Any]:
+    """As lists, ``null`` for NaN."""
     plain = array.astype(object)
     plain[np.isnan(array)] = None
     return plain.tolist()
 
 
-_LISTS = PlainSerializer(np.ndarray.tolist)
-Vector = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=1)), _LISTS]
-Matrix = Annotated[Floats, PlainValidator(partial(_numbers, dimensions=2)), _LISTS]
-Place = Annotated[Vector, of_length(2)]
-Pair = Annotated[Place, AfterValidator(none_negative)]
-NotNegativeOrNaN = Annotated[
-    NotNegative, WrapValidator(_nan_for_none), PlainSerializer(_none_for_nan)
+Vector = Annotated[Floats, PlainValidator(partial(_array, dimensions=1)), PlainSerializer(_plain)]
+Matrix = Annotated[Floats, PlainValidator(partial(_array, dimensions=2)), PlainSerializer(_plain)]
+FloatsWithGaps = Annotated[
+    Floats, PlainValidator(partial(_array, dimensions=None)), PlainSerializer(_plain)
 ]
 """``null`` in the file for NaN."""
-Gaps = Annotated[Floats, PlainValidator(_with_gaps), PlainSerializer(_plain_with_gaps)]
-Sigmas = Annotated[Gaps, AfterValidator(none_negative)]
+NotNegativeOrNaN = Annotated[
+    NotNegative,
+    WrapValidator(lambda value, read: np.nan if value is None or value != value else read(value)),
+    PlainSerializer(lambda value: None if np.isnan(value) else value),
+]
+"""``null`` in the file for NaN."""
+Place = Annotated[Vector, of_length(2)]
+Pair = Annotated[Place, AfterValidator(none_negative)]
+Sigmas = Annotated[FloatsWithGaps, AfterValidator(none_negative)]
 
 
 def check_covariance(covariance: Floats, count: int) -> None:
@@ -579,17 +566,15 @@ def without(reading: BoardReading, left_out: Mask) -> BoardReading:
     reading : BoardReading, of N marks
     left_out : (N,) mask, in the order of ``all_marks``
     """
-    return with_marks(reading, _hidden(joined_marks(reading), left_out))
-
-
-def _hidden(marks: Marks, hide: Mask) -> Marks:
-    hide = hide & marks.found
-    return replace(
+    marks = joined_marks(reading)
+    hide = left_out & marks.found
+    marks = replace(
         marks,
         image_px=np.where(hide[:, None], np.nan, marks.image_px),
         sigma_px=np.where(hide, np.nan, marks.sigma_px),
         status=np.where(hide, int(Status.NOT_FOUND), marks.status),
     )
+    return with_marks(reading, marks)
 
 
 # The estimate that a plane map gives for pixels, and how its uncertainty is put together.
@@ -612,7 +597,9 @@ class Estimate:
     modes_mm: Floats | None = None
 
 
-def propagated(xz_mm: Floats, jacobian: Floats, modes_mm: Floats, variance_px2: Floats) -> Estimate:
+def estimate_of(
+    xz_mm: Floats, jacobian: Floats, modes_mm: Floats, variance_px2: Floats
+) -> Estimate:
     """The estimate of a map whose parameters give its modes; NaN where the variance is.
 
     Parameters
@@ -749,7 +736,7 @@ class SolvedMap(Strict, ABC):
             is neither.
         """
         image_px = require_columns(image_px, "image_px", 2)
-        sigma = _checked_sigma(image_px, sigma_px)
+        sigma = _sigma_or_zero(image_px, sigma_px)
         finite = np.isfinite(image_px).all(axis=1)
         covered = np.zeros(len(image_px), dtype=bool)
         covered[finite] = self.region.covers(image_px[finite])
@@ -856,7 +843,7 @@ class MapSolver(ABC, Generic[Solved]):
             Where the marks found do not determine the map.
         """
         self.check_variant(variant)
-        return self._finished(self.fit(reading, variant, optics), variant, optics)
+        return self._with_name_and_water(self.fit(reading, variant, optics), variant, optics)
 
     def bare(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
@@ -877,7 +864,7 @@ class MapSolver(ABC, Generic[Solved]):
             As ``solve``.
         """
         self.check_variant(variant)
-        return self._finished(self.fit_points(reading, variant, optics), variant, optics)
+        return self._with_name_and_water(self.fit_points(reading, variant, optics), variant, optics)
 
     def fit_points(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
         """As ``fit``; a family whose uncertainty takes time of its own leaves it out.
@@ -916,13 +903,13 @@ class MapSolver(ABC, Generic[Solved]):
         """
         MapSolver.check_variant(self, variant)  # a metric map can be restored, though not solved
         read = check(self.model, parameters, where=None, prefix="parameters")
-        return self._named(read, variant)
+        return self._with_name(read, variant)
 
-    def _finished(self, solved: Solved, variant: str, optics: OpticsSection) -> Solved:
+    def _with_name_and_water(self, solved: Solved, variant: str, optics: OpticsSection) -> Solved:
         water = stated_water(optics)
-        return self._named(solved.model_copy(update={"stated_water": water}), variant)
+        return self._with_name(solved.model_copy(update={"stated_water": water}), variant)
 
-    def _named(self, solved: Solved, variant: str) -> Solved:
+    def _with_name(self, solved: Solved, variant: str) -> Solved:
         solved._name = full_name(self.family, variant)
         return solved
 
@@ -956,7 +943,7 @@ def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
     return modes
 
 
-def _checked_sigma(image_px: Floats, sigma_px: Floats | None) -> Floats:
+def _sigma_or_zero(image_px: Floats, sigma_px: Floats | None) -> Floats:
     if sigma_px is None:
         return np.zeros(len(image_px))
     sigma = np.asarray(sigma_px, dtype=float)

@@ -92,7 +92,7 @@ def distort(camera: CameraModel, tangents: Floats) -> Floats:
     """
     inside = np.hypot(*tangents.T) < fold_radius(camera)
     x, y = np.where(inside[:, None], tangents, np.nan).T
-    return np.column_stack(_bent(camera, x, y, *_radial(camera, x, y)))
+    return np.column_stack(_bent_tangents(camera, x, y, *_radial(camera, x, y)))
 
 
 def undistort(camera: CameraModel, distorted: Floats) -> Floats:
@@ -142,7 +142,7 @@ def _radial(camera: CameraModel, x: Floats, y: Floats) -> tuple[Floats, Floats]:
     return q, 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
 
 
-def _bent(
+def _bent_tangents(
     camera: CameraModel, x: Floats, y: Floats, q: Floats, radial: Floats
 ) -> tuple[Floats, Floats]:
     """(N,) distorted tangents across and down."""
@@ -172,7 +172,9 @@ def undistort_derivatives(camera: CameraModel, tangents: Floats) -> tuple[Floats
             [y * q, y * q**2, q + 2 * y * y, cross, y * q**3],
         ]
     )
-    inverse = _inverse_jacobian(camera, tangents)
+    by_x, by_other, by_y = _jacobian(camera, x, y, *_radial(camera, x, y))
+    inverse = np.array([[by_y, -by_other], [-by_other, by_x]])
+    inverse = np.moveaxis(inverse / (by_x * by_y - by_other**2), 2, 0)
     return inverse, -inverse @ np.moveaxis(by_coefficients, 2, 0)
 
 
@@ -180,21 +182,13 @@ def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Fl
     """(N, 2) by which ``tangents`` are too large, to first order."""
     x, y = tangents.T
     q, radial = _radial(camera, x, y)
-    bent_x, bent_y = _bent(camera, x, y, q, radial)
+    bent_x, bent_y = _bent_tangents(camera, x, y, q, radial)
     across, down = bent_x - distorted[:, 0], bent_y - distorted[:, 1]
     by_x, cross, by_y = _jacobian(camera, x, y, q, radial)
     steps = np.empty_like(tangents)
     steps[:, 0] = by_y * across - cross * down
     steps[:, 1] = by_x * down - cross * across
     return steps / (by_x * by_y - cross * cross)[:, None]
-
-
-def _inverse_jacobian(camera: CameraModel, tangents: Floats) -> Floats:
-    """(N, 2, 2) derivatives of tangents by the distorted ones."""
-    x, y = tangents.T
-    by_x, cross, by_y = _jacobian(camera, x, y, *_radial(camera, x, y))
-    inverse = np.array([[by_y, -cross], [-cross, by_x]]) / (by_x * by_y - cross * cross)
-    return np.moveaxis(inverse, 2, 0)
 
 
 def _jacobian(
@@ -246,7 +240,8 @@ def leave_port(port: PortModel, air: Floats) -> tuple[Floats, Floats]:
     cosine = air @ normal
     cosine = np.where(cosine > 0, cosine, np.nan)[:, None]
     along = air - cosine * normal
-    glass, water = (_refracted(along, normal, n) for n in (port.glass_index, port.water_index))
+    inside = [along / index for index in (port.glass_index, port.water_index)]  # Snell's law
+    glass, water = (s + _root(1 - (s**2).sum(axis=1))[:, None] * normal for s in inside)
     entry = air * (port.gap_mm / cosine) + glass * (port.thickness_mm / (glass @ normal))[:, None]
     return entry, water
 
@@ -301,15 +296,6 @@ def leave_port_derivatives(
     direction[:, :, turning] = turned / index
     direction[:, :, water] = normal / p - (along + p * normal) / index**2
     return entry, direction
-
-
-def _refracted(along: Floats, normal: Floats, index: float) -> Floats:
-    """(N, 3) unit rays in a medium: Snell's law for the part ``along`` the face of a ray in air.
-
-    NaN where an index below 1, which a search for it may try, reflects all of the ray.
-    """
-    inside = along / index
-    return inside + _root(1 - (inside**2).sum(axis=1))[:, None] * normal
 
 
 def _root(square: Floats) -> Floats:

@@ -356,10 +356,10 @@ def ray_derivatives(camera: CameraModel, image_px: Floats) -> RayDerivatives:
     image_px : (N, 2) array, px, of (u, v)
     """
     distorted = (image_px - np.array(camera.centre_px)) / camera.focal_px
-    return _derived(camera, distorted, undistort(camera, distorted))
+    return _derivatives_at(camera, distorted, undistort(camera, distorted))
 
 
-def _derived(camera: CameraModel, distorted: Floats, tangents: Floats) -> RayDerivatives:
+def _derivatives_at(camera: CameraModel, distorted: Floats, tangents: Floats) -> RayDerivatives:
     """``ray_derivatives`` of pixels whose tangents, distorted and not, are known."""
     by_distorted, by_coefficients = undistort_derivatives(camera, tangents)
     by_lens = np.zeros((len(tangents), 2, COUNT + 2))
@@ -441,7 +441,7 @@ def image_derivatives(boards: PosedBoards, board_mm: Floats, board: Ints) -> Flo
     tangents = undistort(camera, distorted)
     seen = rays_of(camera, tangents)
     distance = np.linalg.norm(points - seen.origin_mm, axis=1)
-    by_ray = _derived(camera, distorted, tangents).after(distance)
+    by_ray = _derivatives_at(camera, distorted, tangents).after(distance)
     moved[:, :, :COUNT] -= by_ray[:, :, :COUNT]
     found = np.full((len(points), 2, OWN), np.nan)
     good = np.isfinite(by_ray).all(axis=(1, 2))

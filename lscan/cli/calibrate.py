@@ -110,8 +110,12 @@ def check(
     json: Json = False,
 ) -> None:
     """Score an old calibration against a new picture of the board; exit code 1 if it is off."""
-    from lscan.calibration.calibrationfile import load_any, save_any
-    from lscan.calibration.check import check_calibration, corrected, proposed
+    from lscan.calibration.calibrationfile import load_any, save_calibration
+    from lscan.calibration.check import (
+        check_calibration,
+        corrected_calibration,
+        fitting_corrections,
+    )
     from lscan.cli.inputs import board_picture, parse_corrections, parse_seeds
 
     require_folders(update)
@@ -122,9 +126,9 @@ def check(
     given = board_picture(picture, board, optics, trust)
     reading, water = given.read(parse_seeds(seeds), channel), given.optics
     found = check_calibration(loaded, reading, level, placed, water)
-    kinds = asked or proposed(found)
+    kinds = asked or fitting_corrections(found)
     if update is not None and kinds:
-        save_any(update, corrected(loaded, reading, kinds, placed, water))
+        save_calibration(update, corrected_calibration(loaded, reading, kinds, placed, water))
     if json:
         print_json({"agrees": found.agrees, "correct": kinds, **asdict(found)})
     else:
@@ -254,11 +258,9 @@ def calibrate_metric(
     from lscan.calibration.calibrationfile import (
         load_camera,
         require_same_camera,
-        save_camera,
-        save_metric,
+        save_calibration,
     )
     from lscan.calibration.metric.solve import (
-        CameraCalibration,
         UnsolvedViews,
         calibrate_camera,
         calibrate_metric as solve,
@@ -288,10 +290,7 @@ def calibrate_metric(
         raise
     if overlays:
         write_overlays(file, calibration.views[len(boards) :], overlays)
-    if isinstance(calibration, CameraCalibration):
-        save_camera(output, calibration)
-    else:
-        save_metric(output, calibration)
+    save_calibration(output, calibration)
     if json:
         print_json({"calibration": output, **summary(calibration)})
         return

@@ -16,7 +16,7 @@ from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
 from lscan.board.marks import FEWEST
 from lscan.calibration.calibrationfile import load_plane_map
-from lscan.calibration.check import CorrectionKind, carried
+from lscan.calibration.check import CorrectionKind, map_for_rig
 from lscan.calibration.planemap import PlaneMap
 from lscan.cli.console import note
 from lscan.config.board import Board, load_board
@@ -181,7 +181,7 @@ def plane_maps(
                 value=(image.shape[1], image.shape[0]),
                 allowed=f"{size[0]} x {size[1]} px, as in {file}",
             )
-        maps.append(plane_map if rig is None else carried(plane_map, rig))
+        maps.append(plane_map if rig is None else map_for_rig(plane_map, rig))
     return maps
 
 

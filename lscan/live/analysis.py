@@ -7,7 +7,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from lscan.board import read_board
 from lscan.calibration.calibrate import calibrate, in_picture, residuals
@@ -24,6 +23,7 @@ from lscan.records import (
     Floats,
     GreyValues,
     Ints,
+    PlanePoints,
     Status,
     Stripe,
     has_value,
@@ -32,56 +32,6 @@ from lscan.records import (
 from lscan.stripe import extract_stripe
 from lscan.stripe.peaks import crests, line_width
 from lscan.stripe.picture import PictureLines, constant_variance, lines_of
-
-# A plane map tabulated over the picture, for profiles at the rate of a live page.
-#
-# A refractive map takes some 15 ms for a line of 640 points, most of it for uncertainties; its
-# table takes a tenth of a millisecond.  Between nodes the table is bilinear: its error is at most
-# NODE_PX² / 8 of the map's second derivative, microns for a camera of moderate distortion, and
-# NODE_PX / 4 of the change of slope where the map is bent, as at the cells of a graticule.
-
-
-NODE_PX = 4
-
-
-@dataclass(frozen=True)
-class LiveProfile:
-    """A profile to be looked at: xz_mm (N, 2), NaN where there is none; sigma_mm (N,) of z."""
-
-    xz_mm: Floats
-    sigma_mm: Floats
-
-
-@dataclass(frozen=True)
-class MapTable:
-    """A map at every NODE_PX-th pixel of every NODE_PX-th row.
-
-    nodes: (5, rows, columns): x, z and the map's own uncertainty of z, mm; the change of z by u
-    and by v, mm/px.  NaN outside the calibrated part, from the last node within it on.
-    """
-
-    nodes: Floats
-
-    def profile(self, stripe: Stripe) -> LiveProfile:
-        """The points of the stripe in the sheet, one for each of its entries."""
-        places = stripe.image_px[:, ::-1].T / NODE_PX
-        known = np.isfinite(places).all(axis=0)
-        read = np.full((5, places.shape[1]), np.nan)
-        for row, node in zip(read, self.nodes, strict=True):
-            row[known] = map_coordinates(node, places[:, known], order=1, cval=np.nan)
-        slope = read[4] if stripe.axis == "columns" else read[3]
-        return LiveProfile(read[:2].T, np.hypot(read[2], slope * stripe.sigma_px))
-
-
-def tabulate(plane_map: PlaneMap, size_px: tuple[int, int]) -> MapTable:
-    """The table of a map for pictures of (width, height) px."""
-    width, height = size_px
-    v, u = np.mgrid[0 : height + NODE_PX : NODE_PX, 0 : width + NODE_PX : NODE_PX]
-    points = plane_map.to_plane(np.column_stack([u.ravel(), v.ravel()]).astype(float))
-    x, z = (coordinate.reshape(u.shape) for coordinate in points.xz_mm.T)
-    by_v, by_u = np.gradient(z, NODE_PX)
-    return MapTable(np.stack([x, z, points.sigma_mm[:, 1].reshape(u.shape), by_u, by_v]))
-
 
 # What is measured of one picture for the live page.
 
@@ -120,16 +70,17 @@ class Figures:
     """One picture measured.
 
     saturated_percent: pixels of the stripe's channel at the end of the camera's range.
-    focus: as :func:`sharpness`.  line: None in board mode.  profile: None without a map.
+    focus: as :func:`sharpness`.  line: None in board mode.  profile: the points of the line, one
+    for each of its entries; None without a map.
     """
 
     saturated_percent: float
     focus: float
     line: StripeFigures | None
-    profile: LiveProfile | None
+    profile: PlanePoints | None
 
 
-def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) -> Figures:
+def measure_line(image: Bytes, settings: StripeSection, plane_map: PlaneMap | None) -> Figures:
     """The line, the profile and the figures of one picture, (H, W) or (H, W, 3) RGB uint8.
 
     All but saturation and noise is taken from the band of the picture that holds the line, which is
@@ -149,7 +100,9 @@ def measure_line(image: Bytes, settings: StripeSection, table: MapTable | None) 
         snr=float(np.median(stripe.peak[at]) / np.sqrt(variance)) if len(at) else None,
         slope=slope_of(stripe.centre_px),
     )
-    profile = None if table is None else table.profile(line.stripe)
+    profile = None
+    if plane_map is not None:
+        profile = plane_map.to_plane(line.stripe.image_px, line.stripe.sigma_px)
     return Figures(_saturated_percent(whole), focus, line, profile)
 
 
@@ -369,8 +322,8 @@ def _stripe_json(line: StripeFigures) -> dict[str, Any]:
     }
 
 
-def _profile_json(profile: LiveProfile) -> dict[str, Any]:
-    sigma = profile.sigma_mm[np.isfinite(profile.sigma_mm)]
+def _profile_json(profile: PlanePoints) -> dict[str, Any]:
+    sigma = profile.sigma_mm[np.isfinite(profile.sigma_mm[:, 1]), 1]
     return {
         "x_mm": _rounded(profile.xz_mm[:, 0], 3),
         "z_mm": _rounded(profile.xz_mm[:, 1], 3),

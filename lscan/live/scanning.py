@@ -17,13 +17,12 @@ from lscan.acquisition.writer import RunWriter, create_run, resume_run
 from lscan.board import read_board
 from lscan.calibration.calibrate import calibrate
 from lscan.calibration.calibrationfile import save_calibration
-from lscan.calibration.check import carried
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import Plan, RigFile, parse_rig
 from lscan.devices.api import Limited, Track
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.files.disk import read_bytes
-from lscan.live.analysis import MapTable, tabulate
 from lscan.live.devices import LiveDevices, NotNow, one_line
 from lscan.pipeline import require_board
 
@@ -215,22 +214,20 @@ def _written_s(file: Path) -> float:
 
 @dataclass(frozen=True)
 class LiveCalibration:
-    """The plane map in use, the file it is from, and its table.
+    """The plane map in use, and the file it is from.
 
     Attributes
     ----------
     path : Path, of the calibration file
     plane_map : PlaneMap, pixels to the plane of the sheet
-    table : MapTable, the map at a grid of pixels, for the page
     """
 
     path: Path
     plane_map: PlaneMap
-    table: MapTable
 
 
 def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibration:
-    """A plane map as the live page uses it: carried to the rig's water, tabulated for its pictures.
+    """A plane map as the live page uses it: carried to the rig's water.
 
     Parameters
     ----------
@@ -250,8 +247,7 @@ def use_map(path: Path, plane_map: PlaneMap, rig_file: RigFile) -> LiveCalibrati
     InputError
         The map cannot be carried to the water, or the changes, that the rig states.
     """
-    plane_map = carried(plane_map, rig_file.rig)
-    return LiveCalibration(path, plane_map, tabulate(plane_map, rig_file.rig.camera.size_px))
+    return LiveCalibration(path, map_for_rig(plane_map, rig_file.rig))
 
 
 def take_board(

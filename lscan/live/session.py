@@ -358,8 +358,8 @@ class Session:
             if mode == "board":
                 figures = measure_picture(picture.grab.image, settings)
             else:
-                table = calibration.table if calibration else None
-                figures = measure_line(picture.grab.image, settings, table)
+                plane_map = calibration.plane_map if calibration else None
+                figures = measure_line(picture.grab.image, settings, plane_map)
         except Exception as error:
             self._fault = one_line(error)
             return Figures(0.0, 0.0, None, None)

@@ -16,8 +16,8 @@ from lscan.calibration.calibrate import (
     Calibration,
     Score,
     calibration_by,
-    screened,
     try_maps,
+    without_outliers,
 )
 from lscan.calibration.planemap import NOTHING_KNOWN, PlaneMap, find_solver
 from lscan.config.documents import Strict, check
@@ -131,7 +131,7 @@ class AutoSolver:
         """
         self.check_variant(variant)
         trials = try_maps(reading, CANDIDATES, optics, progress=progress)
-        scores = ranked(tuple(trial.score for trial in trials))
+        scores = best_first(tuple(trial.score for trial in trials))
         if scores[0].refused is not None:
             raise BoardNotFound(f"no plane map could be solved: {scores[0].refused}")
         best = scores[0].name
@@ -178,12 +178,12 @@ def calibrate_best(
     BoardNotFound
         Where every candidate refuses.
     """
-    known, sound = optics or NOTHING_KNOWN, screened(reading)
+    known, sound = optics or NOTHING_KNOWN, without_outliers(reading)
     plane_map = cast(PlaneMap, solver.solve(sound.reading, "", known, progress))
     return calibration_by(plane_map.name, plane_map, sound, known)
 
 
-def ranked(scores: tuple[Score, ...]) -> tuple[Score, ...]:
+def best_first(scores: tuple[Score, ...]) -> tuple[Score, ...]:
     """The scores, the best first.
 
     Those tied with the least error come by the uncertainty they state, the others by their rms

@@ -110,18 +110,12 @@ def fit_rulers(readings: Sequence[RulerReading], fit: Fit) -> tuple[FittedRuler,
             lines.append(CurvePoints(place, along, sigma, sigma))
             conversions.append(CurvePoints(place, mm, sigma, np.zeros_like(sigma)))
             orders.append(min(CONVERSION_ORDER, different - 2))
-    curves = zip(fit_curves(lines, fit), fit_polynomials(conversions, orders), strict=True)
-    found_at = [points.x for points in lines]
-    return tuple(
-        _fitted(reading, place, *pair)
-        for reading, place, pair in zip(usable, found_at, curves, strict=True)
-    )
-
-
-def _fitted(reading: RulerReading, place: Floats, line: Curve, conversion: Curve) -> FittedRuler:
-    half = float(np.median(np.diff(np.sort(place)))) / 2
-    first, last = float(place.min()) - half, float(place.max()) + half
-    return FittedRuler(reading.at_mm, line, conversion, first, last)
+    rulers, curves = [], (fit_curves(lines, fit), fit_polynomials(conversions, orders))
+    for reading, points, line, conversion in zip(usable, lines, *curves, strict=True):
+        half = float(np.median(np.diff(np.sort(points.x)))) / 2
+        first, last = float(points.x.min()) - half, float(points.x.max()) + half
+        rulers.append(FittedRuler(reading.at_mm, line, conversion, first, last))
+    return tuple(rulers)
 
 
 def ruler_axis(reading: RulerReading) -> int:
@@ -204,15 +198,15 @@ class LineSet:
 
     @cached_property
     def _curves(self) -> CurveTable:
-        return CurveTable.of([line.curve for line in self.lines])
+        return CurveTable(tuple(line.curve for line in self.lines))
 
     @cached_property
     def _ruler_lines(self) -> CurveTable:
-        return CurveTable.of([ruler.line for ruler in self.rulers])
+        return CurveTable(tuple(ruler.line for ruler in self.rulers))
 
     @cached_property
     def _conversions(self) -> CurveTable:
-        return CurveTable.of([ruler.conversion for ruler in self.rulers])
+        return CurveTable(tuple(ruler.conversion for ruler in self.rulers))
 
     def locate(self, targets: Targets) -> tuple[Floats, Floats]:
         """Board coordinate in mm and its variance in mm², (N,) each; NaN where not surrounded.
@@ -275,7 +269,8 @@ class LineSet:
         """
         points, each = np.arange(len(targets.along)), np.arange(len(self.lines))[:, None]
         heights, _ = self._curves.look_up(each, targets.along)
-        reached = self._reached(targets.along)
+        low, high = np.array([(line.first_px, line.last_px) for line in self.lines]).T[..., None]
+        reached = (targets.along >= low - self.reach_px) & (targets.along <= high + self.reach_px)
         order = np.argsort(np.where(reached, heights, np.inf), axis=0)
         below = (reached & (heights <= targets.across)).sum(axis=0)
         rank = np.clip(below - 1, 0, np.maximum(reached.sum(axis=0) - 2, 0))
@@ -288,12 +283,7 @@ class LineSet:
         lines, weights = np.column_stack([lower, upper]), np.column_stack([1 - fraction, fraction])
         return Between(lines, weights, span), inside
 
-    def _reached(self, along: Floats) -> Mask:
-        """(lines, N) whether a line's marks span the place, or it lies so little beyond them."""
-        low, high = np.array([(line.first_px, line.last_px) for line in self.lines]).T[..., None]
-        return (along >= low - self.reach_px) & (along <= high + self.reach_px)
-
-    def _interpolated(self, between: Between, along: Floats) -> tuple[Floats, Floats]:
+    def _between_lines(self, between: Between, along: Floats) -> tuple[Floats, Floats]:
         """The lines that eq. (3) interpolates, H, at ``along``: across px, and their slopes."""
         values, slopes = self._curves.look_up(between.lines, along[:, None])
         return between.blend(values), between.blend(slopes)
@@ -310,9 +300,8 @@ class LineSet:
         value = start + between.weights[:, 1] * pitch
         if targets.variance is None:
             return value, np.full_like(value, np.nan)
-        rows = self._curves.basis(between.lines, targets.along[:, None])
-        of_lines = self._curves.variance(between.lines, rows)
-        _, slope = self._interpolated(between, targets.along)
+        of_lines = (self._curves.modes(between.lines, targets.along[:, None]) ** 2).sum(axis=0)
+        _, slope = self._between_lines(between, targets.along)
         noise = targets.variance * (1 + slope**2) + between.blend(of_lines, power=2)
         return value, noise * (pitch / between.span_px) ** 2
 
@@ -334,7 +323,7 @@ class LineSet:
         place, lean = targets.across, None
         for _ in range(NEWTON_STEPS):
             along, ruler_slope = self._ruler_lines.look_up(ruler, place)
-            height, slope = self._interpolated(between, along)
+            height, slope = self._between_lines(between, along)
             lean = slope * ruler_slope if lean is None else lean
             miss = place - height
             place = place - miss / (1 - lean)
@@ -360,15 +349,13 @@ class LineSet:
         heights, slopes = curves.look_up(lines, crossing[:, None])
         slope = between.blend(slopes)
         ratio = (heights[:, 1] - heights[:, 0]) / between.span_px
-        there, here = (curves.basis(lines, along[:, None]) for along in (crossing, targets.along))
-        rows = there - ratio[:, None, None] * here
-        _, tilt = self._interpolated(between, targets.along)
-        across = ratio**2 * targets.variance * (1 + tilt**2)
-        across += between.blend(curves.variance(lines, rows), power=2)
-        across += slope**2 * rulers.variance(ruler, rulers.basis(ruler, place))
+        there, here = (curves.modes(lines, along[:, None]) for along in (crossing, targets.along))
+        of_lines = ((there - ratio[:, None] * here) ** 2).sum(axis=0)
+        _, tilt = self._between_lines(between, targets.along)
+        across = ratio**2 * targets.variance * (1 + tilt**2) + between.blend(of_lines, power=2)
+        across += slope**2 * (rulers.modes(ruler, place) ** 2).sum(axis=0)
         scale = conversion_slope / (1 - slope * ruler_slope)
-        converted = self._conversions.variance(ruler, self._conversions.basis(ruler, place))
-        return value, scale**2 * across + converted
+        return value, scale**2 * across + (self._conversions.modes(ruler, place) ** 2).sum(axis=0)
 
 
 # The paper's map: longitude and latitude lines with auxiliary rulers (Secs. II and III).
@@ -482,15 +469,17 @@ class GraticuleSolver(MapSolver[Graticule]):
         fit, with_rulers = VARIANTS[variant]
         region_of, transposed = reading, _rows_run_down(reading)
         if transposed:
-            reading = _transposed(reading)
+            marks = joined_marks(reading)
+            reading = with_marks(reading, replace(marks, image_px=marks.image_px[:, ::-1]))
         rows = _fit_lines(reading, 0, fit)
         columns = _fit_lines(reading, 1, fit)
         reach = spacing_px(reading)
+        row, column = (np.array([line is not None for line in some]) for some in (rows, columns))
         return Graticule(
             latitudes=LineSet(_present(rows), _rulers(reading, 1, fit, with_rulers), reach),
             longitudes=LineSet(_present(columns), _rulers(reading, 0, fit, with_rulers), reach),
             transposed=transposed,
-            region=covered_region(region_of, _on_lines(reading, rows, columns)),
+            region=covered_region(region_of, np.outer(row, column).ravel() & reading.grid.found),
             lack_of_fit_mm=np.zeros(2),
         )
 
@@ -510,12 +499,6 @@ def _rows_run_down(reading: BoardReading) -> bool:
     return bool(along_v > along_u)
 
 
-def _transposed(reading: BoardReading) -> BoardReading:
-    """The reading of the picture with u and v exchanged, of grid and rulers."""
-    marks = joined_marks(reading)
-    return with_marks(reading, replace(marks, image_px=marks.image_px[:, ::-1]))
-
-
 def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | None]:
     """One line per grid row (along = 0) or per grid column (along = 1)."""
     count = reading.shape[along]
@@ -532,15 +515,6 @@ def _fit_lines(reading: BoardReading, along: int, fit: Fit) -> list[GridLine | N
 
 def _present(lines: list[GridLine | None]) -> tuple[GridLine, ...]:
     return tuple(line for line in lines if line is not None)
-
-
-def _on_lines(
-    reading: BoardReading, rows: list[GridLine | None], columns: list[GridLine | None]
-) -> Mask:
-    """Mask of the control points found on a latitude line and on a longitude line."""
-    row = np.array([line is not None for line in rows])
-    column = np.array([line is not None for line in columns])
-    return np.outer(row, column).ravel() & reading.grid.found
 
 
 def _rulers(reading: BoardReading, reads: int, fit: Fit, wanted: bool) -> tuple[FittedRuler, ...]:

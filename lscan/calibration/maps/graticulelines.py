@@ -10,13 +10,22 @@ better conditioned than in powers of a pixel coordinate.
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from math import comb, factorial
+from itertools import zip_longest
+from math import comb
 from typing import Literal
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from lscan.calibration.planemap import STRICT, Count, Matrix, Number, Vector, check_covariance
+from lscan.calibration.planemap import (
+    STRICT,
+    Count,
+    Matrix,
+    Number,
+    Vector,
+    check_covariance,
+    square_root,
+)
 from lscan.records import Floats, Ints, Marks
 
 Fit = Literal["1", "2", "bspline"]
@@ -67,6 +76,19 @@ class Curve:
         """Gives (N, M) of x (N,) so that ``basis(x) @ coefficients`` is f."""
         return BSpline(self.knots, np.eye(len(self.coefficients)), self.degree)
 
+    @cached_property
+    def pieces(self) -> tuple[Floats, Floats]:
+        """(P,) where its pieces begin, and (D, P, M) powers from there of what ``basis`` gives."""
+        orders, ends = np.arange(self.degree + 1), self.knots[self.degree : -self.degree or None]
+        nodes, to_powers, bernstein = _nodes(self.degree)
+        if len(ends) == 2 and self.knots[0] == ends[0] and self.knots[-1] == ends[1]:
+            by_share, step = bernstein[:, None], ends[1:] - ends[:-1]
+        else:
+            ends = np.unique(ends)
+            step = np.diff(ends)
+            by_share = np.tensordot(to_powers, self.basis(ends[:-1] + nodes[:, None] * step), 1)
+        return ends[:-1], by_share / (step ** orders[:, None])[..., None]
+
     def __call__(self, x: Floats) -> Floats:
         """f at x, same shape."""
         return self._spline(x)
@@ -108,12 +130,12 @@ def fit_polynomials(several: Sequence[CurvePoints], orders: Sequence[int]) -> li
         alike.setdefault((order, len(points.x)), []).append(number)
     found: dict[int, Curve] = {}
     for (order, _), numbers in alike.items():
-        curves = _of_one_order([several[number] for number in numbers], order)
+        curves = _polynomials_of_one_order([several[number] for number in numbers], order)
         found.update(zip(numbers, curves, strict=True))
     return [found[number] for number in range(len(several))]
 
 
-def _of_one_order(several: Sequence[CurvePoints], order: int) -> list[Curve]:
+def _polynomials_of_one_order(several: Sequence[CurvePoints], order: int) -> list[Curve]:
     """Polynomials through sets of as many points each: solved together, in a third of the time."""
     x, y, sigma_x, sigma_y = (
         np.stack([getattr(points, field.name) for points in several])
@@ -121,7 +143,7 @@ def _of_one_order(several: Sequence[CurvePoints], order: int) -> list[Curve]:
     )
     low, high = x.min(axis=1, keepdims=True), x.max(axis=1, keepdims=True)
     rows, by_share = _bernstein((x - low) / (high - low), order)
-    solved = _solved(rows, by_share / (high - low)[..., None], y, sigma_x, sigma_y)
+    solved = _least_squares(rows, by_share / (high - low)[..., None], y, sigma_x, sigma_y)
     knots = np.repeat(np.hstack([low, high]), order + 1, axis=1)
     return [Curve(order, *parts) for parts in zip(knots, *solved, strict=True)]
 
@@ -142,7 +164,7 @@ def _bernstein(share: Floats, order: int) -> tuple[Floats, Floats]:
     return rows, by_share
 
 
-def _solved(
+def _least_squares(
     rows: Floats, slopes: Floats, y: Floats, sigma_x: Floats, sigma_y: Floats
 ) -> tuple[Floats, Floats]:
     """Coefficients (..., M) of least squares and their covariance (..., M, M).
@@ -214,16 +236,16 @@ def fit_curves(several: Sequence[CurvePoints], fit: Fit) -> list[Curve]:
     """
     if fit != "bspline":
         return fit_polynomials(several, [DEGREE[fit]] * len(several))
-    return [_interpolating(points) for points in several]
+    return [_interpolating_spline(points) for points in several]
 
 
-def _interpolating(points: CurvePoints) -> Curve:
+def _interpolating_spline(points: CurvePoints) -> Curve:
     x, degree = points.x, DEGREE["bspline"]
     order = np.argsort(x)
     knots = make_interp_spline(x[order], points.y[order], k=degree).t
     basis = BSpline(knots, np.eye(len(x)), degree)
     parts = points.y, points.sigma_x, points.sigma_y
-    return Curve(degree, knots, *_solved(basis(x), basis.derivative()(x), *parts))
+    return Curve(degree, knots, *_least_squares(basis(x), basis.derivative()(x), *parts))
 
 
 # Several curves as one table, in which each of many places is looked up on a curve of its own.
@@ -231,45 +253,14 @@ def _interpolating(points: CurvePoints) -> Curve:
 
 @dataclass(frozen=True)
 class CurveTable:
-    """C curves of P pieces at most, each piece a polynomial of x less the place where it begins.
+    """Curves of P pieces at most, each piece a polynomial of x less the place where it begins.
 
     Attributes
     ----------
-    begin : (C, P) array, in the unit of x, where the pieces begin; inf for those there are not
-    powers : (D, C P) array, coefficients of the powers 0 to D - 1 in each piece
-    basis_powers : (D, M, C P) array, the same of the M functions that a curve is a sum of
-    covariance : (M, M, C) array, of their coefficients, in the unit of y, squared
+    curves : tuple of Curve, one or more
     """
 
-    begin: Floats
-    powers: Floats
-    basis_powers: Floats
-    covariance: Floats
-
-    @staticmethod
-    def of(curves: Sequence[Curve]) -> "CurveTable":
-        """The table of some curves.
-
-        Parameters
-        ----------
-        curves : sequence of Curve, one or more
-        """
-        begins = [_begins(curve) for curve in curves]
-        most = max(len(curve.coefficients) for curve in curves)
-        shape = len(curves), max(map(len, begins))
-        begin = np.full(shape, np.inf)
-        powers = np.zeros((max(curve.degree for curve in curves) + 1, *shape, most))
-        values, covariance = np.zeros(powers.shape[:-1]), np.zeros((len(curves), most, most))
-        for k, (curve, places) in enumerate(zip(curves, begins, strict=True)):
-            pieces, count = slice(len(places)), len(curve.coefficients)
-            begin[k, pieces] = places
-            covariance[k, :count, :count] = curve.covariance
-            rows = _powers_of(curve, places)
-            powers[: curve.degree + 1, k, pieces, :count] = rows
-            values[: curve.degree + 1, k, pieces] = rows @ curve.coefficients
-        size = shape[0] * shape[1]
-        basis = powers.reshape(-1, size, most).transpose(0, 2, 1).copy()
-        return CurveTable(begin, values.reshape(-1, size), basis, covariance.T.copy())
+    curves: tuple[Curve, ...]
 
     def look_up(self, curve: Ints, x: Floats) -> tuple[Floats, Floats]:
         """The values of the curves and their slopes, shaped as the arguments together.
@@ -280,81 +271,62 @@ class CurveTable:
         x : array, the places; beyond a curve's ends its end pieces are continued
         """
         piece, step = self._piece(curve, x)
-        value, slope = self.powers[-1].take(piece), np.zeros(step.shape)
-        for coefficients in self.powers[-2::-1]:
+        value, slope = self._values[-1].take(piece), np.zeros(step.shape)
+        for coefficients in self._values[-2::-1]:
             slope = slope * step + value
             value = value * step + coefficients.take(piece)
         return value, slope
 
-    def basis(self, curve: Ints, x: Floats) -> Floats:
-        """(..., M) values of the functions that the curves are sums of.
+    def modes(self, curve: Ints, x: Floats) -> Floats:
+        """(M, ...) by which one standard deviation of each of M errors displaces the values.
 
         Parameters
         ----------
         curve, x : array, as :meth:`look_up` takes them
         """
         piece, step = self._piece(curve, x)
-        value = self.basis_powers[-1].take(piece, axis=1)
-        for coefficients in self.basis_powers[-2::-1]:
+        value = self._modes[-1].take(piece, axis=1)
+        for coefficients in self._modes[-2::-1]:
             value *= step
             value += coefficients.take(piece, axis=1)
-        return np.moveaxis(value, 0, -1)
-
-    def variance(self, curve: Ints, rows: Floats) -> Floats:
-        """Variances, shaped as ``curve``, of sums of a curve's coefficients.
-
-        Parameters
-        ----------
-        curve : array of int, whose coefficients are added
-        rows : (..., M) array, the factor of each
-        """
-        factors, total = np.ascontiguousarray(np.moveaxis(rows, -1, 0)), np.zeros(rows.shape[:-1])
-        for i, factor in enumerate(factors):
-            moved = factor * self.covariance[i, i].take(curve)
-            for j in range(i):
-                moved += factors[j] * (2 * self.covariance[i, j]).take(curve)
-            total += factor * moved
-        return total
+        return value
 
     def _piece(self, curve: Ints, x: Floats) -> tuple[Ints, Floats]:
-        """Number of each place's piece among all C P, and the place from where that begins."""
-        count = self.begin.shape[1]
+        """Number of each place's piece among all, and the place from where that begins."""
+        count = self._begin.shape[1]
         piece = curve * count
         if count > 1:
-            piece = piece + (x[..., None] >= self.begin[curve, 1:]).sum(axis=-1)
-        return piece, x - self.begin.reshape(-1).take(piece)
+            piece = piece + (x[..., None] >= self._begin[curve, 1:]).sum(axis=-1)
+        return piece, x - self._begin.reshape(-1).take(piece)
 
+    @cached_property
+    def _begin(self) -> Floats:
+        """(C, P) where the pieces begin; inf for those there are not."""
+        own = [curve.pieces[0] for curve in self.curves]
+        return np.array(list(zip_longest(*own, fillvalue=np.inf))).T
 
-def _begins(curve: Curve) -> Floats:
-    """Where the pieces of a curve begin."""
-    if _is_whole(curve):
-        return curve.knots[:1]
-    return np.unique(curve.knots[curve.degree : -curve.degree or None])[:-1]
+    @cached_property
+    def _values(self) -> Floats:
+        return self._powers([curve.coefficients[:, None] for curve in self.curves])[:, 0]
 
+    @cached_property
+    def _modes(self) -> Floats:
+        return self._powers([square_root(curve.covariance) for curve in self.curves])
 
-def _powers_of(curve: Curve, places: Floats) -> Floats:
-    """(degree + 1, P, M) coefficients of powers of the M functions in the pieces from P places."""
-    if _is_whole(curve):
-        step = 1 / (curve.knots[-1] - curve.knots[0])
-        scale = step ** np.arange(curve.degree + 1)
-        return (_bernstein_powers(curve.degree) * scale[:, None])[:, None]
-    each = range(curve.degree + 1)
-    return np.stack([curve.basis.derivative(k)(places) / factorial(k) for k in each])
-
-
-def _is_whole(curve: Curve) -> bool:
-    """Whether a curve is one polynomial."""
-    knots, last = curve.knots, curve.degree
-    is_single = len(curve.coefficients) == last + 1
-    return is_single and bool(knots[0] == knots[last] and knots[-1] == knots[-1 - last])
+    def _powers(self, coefficients: list[Floats]) -> Floats:
+        """(D, J, C P) powers 0 to D - 1 in each piece of splines of coefficients (M, J)."""
+        degree = max(curve.degree for curve in self.curves)
+        most = max(own.shape[1] for own in coefficients)
+        powers = np.zeros((degree + 1, most, *self._begin.shape))
+        for k, (curve, own) in enumerate(zip(self.curves, coefficients, strict=True)):
+            part = (curve.pieces[1] @ own).swapaxes(1, 2)
+            powers[: len(part), : own.shape[1], k, : part.shape[2]] = part
+        return powers.reshape(degree + 1, most, -1)
 
 
 @lru_cache(maxsize=16)
-def _bernstein_powers(degree: int) -> Floats:
-    """(degree + 1, degree + 1) coefficients of t^p, one row each, in Bernstein's polynomials."""
-    powers = np.zeros((degree + 1, degree + 1))
-    for k in range(degree + 1):
-        for p in range(k, degree + 1):
-            powers[p, k] = (-1) ** (p - k) * comb(degree, k) * comb(degree - k, p - k)
-    powers.flags.writeable = False
-    return powers
+def _nodes(degree: int) -> tuple[Floats, Floats, Floats]:
+    """Shares of a piece, what makes powers of the share of values there, and those of Bernstein."""
+    nodes = (np.arange(degree + 1) + 0.5) / (degree + 1)
+    to_powers = np.linalg.inv(np.vander(nodes, increasing=True)).astype(np.float64)
+    return nodes, to_powers, to_powers @ _bernstein(nodes, degree)[0]

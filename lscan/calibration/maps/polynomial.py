@@ -24,7 +24,7 @@ from lscan.calibration.planemap import (
     SolvedMap,
     check_covariance,
     covered_region,
-    propagated,
+    estimate_of,
     separate_modes,
     square_root,
     with_lack_of_fit,
@@ -151,7 +151,7 @@ class Polynomial(SolvedMap):
         rows, by_u, by_v = terms(self.pixels.apply(image_px), order)
         jacobian = _jacobian(by_u, by_v, self.coefficients, self.pixels)
         modes = separate_modes(*(rows @ root for root in self._roots))
-        return propagated(rows @ self.coefficients.T, jacobian, modes, variance_px2)
+        return estimate_of(rows @ self.coefficients.T, jacobian, modes, variance_px2)
 
     @cached_property
     def _roots(self) -> tuple[Floats, Floats]:

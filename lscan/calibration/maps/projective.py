@@ -21,8 +21,8 @@ from lscan.calibration.planemap import (
     Vector,
     check_covariance,
     covered_region,
+    estimate_of,
     of_length,
-    propagated,
     square_root,
     with_lack_of_fit,
 )
@@ -107,7 +107,7 @@ class Projective(SolvedMap):
         """
         rows = Homography(self.h).by_parameters(self.pixels.apply(image_px))
         modes = rows @ square_root(self.covariance) * self.plane.scale[:, None]
-        return propagated(self.places(image_px), self.derivatives(image_px), modes, variance_px2)
+        return estimate_of(self.places(image_px), self.derivatives(image_px), modes, variance_px2)
 
     def places(self, image_px: Floats) -> Floats:
         """(N, 2) mm of pixels, wherever they lie.
@@ -155,7 +155,7 @@ class ProjectiveSolver(MapSolver[Projective]):
         region = covered_region(reading, found)
         pixels, plane = hartley(grid.image_px[found]), hartley(grid.board_mm[found])
         scaled, known = pixels.apply(grid.image_px[found]), plane.apply(grid.board_mm[found])
-        h = _fitted(scaled, known)
+        h = _least_squares_homography(scaled, known)
         solved = Projective(
             pixels=pixels,
             plane=plane,
@@ -170,7 +170,7 @@ class ProjectiveSolver(MapSolver[Projective]):
 solver = ProjectiveSolver()
 
 
-def _fitted(scaled: Floats, known: Floats) -> Floats:
+def _least_squares_homography(scaled: Floats, known: Floats) -> Floats:
     """(8,) that minimise the sum of squared distances in the plane."""
     if np.linalg.matrix_rank(Homography(IDENTITY).by_parameters(scaled).reshape(-1, COUNT)) < COUNT:
         raise BoardNotFound(

@@ -88,29 +88,23 @@ def fit_view(
     marks = found_on([joined_marks(reading)], [0])
     view, near = start, start is not None
     if view is None:
-        few = _some(marks)
+        few, count = marks, len(marks.sigma_px)
+        if count > MANY:  # some all over the board are enough to find the solution by
+            chosen = np.random.default_rng(count).permutation(count)[:ENOUGH]
+            few = select(marks, np.sort(chosen))
         view = best_start(few, priors, optics.port, reading.image_size[0])
         if view is None or not view.axes[0, :, 1] @ view.places_mm[0] > 0:
             raise BoardNotFound("the marks found are no picture of the board's front")
         if few is not marks:
-            view, near = _settled(view, few, priors)[0], True
-    view, good = _settled(view, marks, priors, near)
+            view, near = _fit_sound_marks(view, few, priors)[0], True
+    view, good = _fit_sound_marks(view, marks, priors, near)
     _require_explained(view, marks, reading.pitch_mm)
     if bare:
         return CameraFit(view, np.zeros((len(view.theta), 0)), marks, good)
     return with_covariance(view, marks, priors, good)
 
 
-def _some(marks: BoardMarks) -> BoardMarks:
-    """Marks all over the board, enough to find the solution by; all of them where few are."""
-    count = len(marks.sigma_px)
-    if count <= MANY:
-        return marks
-    chosen = np.random.default_rng(count).permutation(count)[:ENOUGH]
-    return select(marks, np.sort(chosen))
-
-
-def _settled(
+def _fit_sound_marks(
     view: PosedBoards, marks: BoardMarks, priors: CameraPriors, near: bool = False
 ) -> tuple[PosedBoards, Mask]:
     """The view of least squares and the mask of the marks it rests on, all but outliers.
@@ -211,17 +205,20 @@ class Refractive(PhysicalMap):
         index, sigma = known
         theta = np.array(list(self.theta.values()))
 
-        def moved(theta: Floats, index: float) -> Floats:
+        def theta_in_water(theta: Floats, index: float) -> Floats:
             return np.delete(self._view_of(theta).in_water(index).theta, K3)
 
         ways = [
-            (moved(theta + mode, index) - moved(theta - mode, index)) / (2 * MODE_STEP)
+            (theta_in_water(theta + mode, index) - theta_in_water(theta - mode, index))
+            / (2 * MODE_STEP)
             for mode in MODE_STEP * self.modes.T
         ]
         step = INDEX_STEP
-        by_index = (moved(theta, index + step) - moved(theta, index - step)) / (2 * step)
-        return self._replaced(
-            theta=dict(zip(NAMES, moved(theta, index).tolist(), strict=True)),
+        by_index = (theta_in_water(theta, index + step) - theta_in_water(theta, index - step)) / (
+            2 * step
+        )
+        return self._with_fields(
+            theta=dict(zip(NAMES, theta_in_water(theta, index).tolist(), strict=True)),
             modes=np.column_stack([*ways, sigma * by_index]),
             stated_water=known,
         )

@@ -30,8 +30,8 @@ from lscan.calibration.planemap import (
     Vector,
     all_marks,
     covered_region,
+    estimate_of,
     found_marks,
-    propagated,
     separate_modes,
     with_lack_of_fit,
 )
@@ -276,7 +276,7 @@ class Spline(SolvedMap):
             jacobian[:, :, axis] += bend / self.pixels.scale[axis]
         modes = separate_modes(*(rows @ root for root in self.roots))
         places = self.base.places(image_px) + rows @ self.coefficients.T
-        return propagated(places, jacobian, modes, variance_px2)
+        return estimate_of(places, jacobian, modes, variance_px2)
 
 
 class SplineSolver(MapSolver[Spline]):
@@ -304,7 +304,12 @@ class SplineSolver(MapSolver[Spline]):
         tight = box(image)
         pixels = Scaling(tight.centre, np.full(2, tight.scale.max()))  # both sides alike
         scaled = pixels.apply(image)
-        _require_spread(scaled)
+        free = np.linalg.matrix_rank(terms(scaled, ORDER - 1)[0])
+        if free < FLAT or len(scaled) <= COST * FLAT:
+            raise BoardNotFound(
+                f"a spline map needs {int(COST * FLAT) + 1} marks that determine a quadratic "
+                f"surface, found {len(scaled)} marks"
+            )
         margin = region.margin_px / pixels.scale[0]  # by which a region goes beyond the marks
         basis = even_basis(scaled.min(axis=0) - margin, scaled.max(axis=0) + margin, SEGMENTS)
         mm_per_px = np.sqrt((base.derivatives(image) ** 2).sum(axis=2))
@@ -325,15 +330,6 @@ class SplineSolver(MapSolver[Spline]):
 
 
 solver = SplineSolver()
-
-
-def _require_spread(scaled: Floats) -> None:
-    free = np.linalg.matrix_rank(terms(scaled, ORDER - 1)[0])
-    if free < FLAT or len(scaled) <= COST * FLAT:
-        raise BoardNotFound(
-            f"a spline map needs {int(COST * FLAT) + 1} marks that determine a quadratic "
-            f"surface, found {len(scaled)} marks"
-        )
 
 
 def _lattice(region: Region) -> Floats:

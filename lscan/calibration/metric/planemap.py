@@ -165,7 +165,7 @@ class Metric(PhysicalMap):
         modes = np.column_stack([self.modes, np.zeros(len(self.modes))])
         modes[WATER] = 0.0
         modes[WATER, -1] = sigma
-        return self._replaced(
+        return self._with_fields(
             theta=theta,
             origin_px=project(camera, self.geometry.place_mm[None])[0],
             modes=modes,

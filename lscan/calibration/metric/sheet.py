@@ -164,7 +164,7 @@ class PlaneEquations:
             scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
             scaled = normal / np.outer(scale, scale)
             if np.linalg.cond(scaled) > 1e15:
-                raise undetermined()
+                raise open_plane_error()
             own = np.linalg.solve(scaled, (by_q.T @ weight) / scale[:, None]) / scale[:, None]
             takes[:, of_used], step = own, own @ left
             q = q - step
@@ -250,7 +250,7 @@ def _chi_square(left: Floats, covariance: Floats, rank: int) -> float:
     return float(((vectors[:, -rank:].T @ left) ** 2 / values[-rank:]).sum())
 
 
-def undetermined() -> MeasurementError:
+def open_plane_error() -> MeasurementError:
     """The error of lines that do not determine the plane."""
     return MeasurementError(
         "the laser's plane is not determined: its lines lie almost in one line of space; "
@@ -485,12 +485,16 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
     agree = np.array([agreeing[board] for board in usable])
     _require_agreement(agree, faults)
     equations = PlaneEquations(fit, free, usable)
-    found = _gated(equations, start.q_per_mm, agree)
+    found = _plane_of_agreeing(equations, start.q_per_mm, agree)
     faults |= _off_the_sheet(boards, usable, found)
     _require_agreement(found.agree, faults, found.usual)
     own = equations.own_root(found.q_per_mm, found.takes)
     own = own * np.sqrt(max(1.0, found.chi_per_freedom))
-    _require_sure(found.q_per_mm, own)
+    length = np.linalg.norm(found.q_per_mm)
+    unit = found.q_per_mm / length
+    turning = (np.eye(3) - np.outer(unit, unit)) @ own / length  # of the normal, rad
+    if not np.linalg.norm(turning, 2) <= np.radians(MOST_TILT_DEG):
+        raise open_plane_error()
     return LaserPlane(
         q_per_mm=found.q_per_mm,
         root=equations.joint_root(found.q_per_mm, found.takes, own),
@@ -547,7 +551,7 @@ class _GatedPlane:
     usual: float
 
 
-def _gated(equations: PlaneEquations, q: Floats, agree: Mask) -> _GatedPlane:
+def _plane_of_agreeing(equations: PlaneEquations, q: Floats, agree: Mask) -> _GatedPlane:
     """The plane of the lines that agree with it, until they are the lines that it was solved from.
 
     q: (3,) 1/mm, the start.  agree: (V,) mask, of the lines that agree on it.
@@ -587,12 +591,3 @@ def _require_agreement(agree: Mask, faults: dict[int, str], usual: float = 1.0) 
         raise NoLaserPlane(TOO_FEW_AGREE.format(len(agree)), faults)
     if usual > MOST_USUAL**2:
         raise NoLaserPlane(TOO_FAR.format(np.sqrt(usual)), faults)
-
-
-def _require_sure(q: Floats, root: Floats) -> None:
-    """Refuse a plane whose normal is known to no better than MOST_TILT_DEG."""
-    length = np.linalg.norm(q)
-    unit = q / length
-    turning = (np.eye(3) - np.outer(unit, unit)) @ root / length
-    if not np.linalg.norm(turning, 2) <= np.radians(MOST_TILT_DEG):
-        raise undetermined()

@@ -41,20 +41,6 @@ BETTER = 1.1  # times less must be left with pixels of another shape
 NEARLY_SQUARE = 0.005  # of a side: what a bent board may look like; costs 2 sigmas of focal length
 
 
-@dataclass(frozen=True)
-class PinholeFit:
-    """A pinhole with distortion in the place of the camera.
-
-    Attributes
-    ----------
-    rms_px : float, px, what it leaves of the marks
-    height : float, of a pixel, over its width
-    """
-
-    rms_px: float
-    height: float
-
-
 def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -> str:
     """Of what shape pixels are that the marks show not to be square, and what to do; else "".
 
@@ -71,20 +57,21 @@ def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -
     left_px = float(np.sqrt(np.mean(fit.marks.missed_px(fit.boards)[fit.good] ** 2)))
     if left_px < POOR * float(np.median(own_px)):
         return ""
-    square = _pinhole(fit, image_size, cv2.CALIB_FIX_ASPECT_RATIO)
-    shaped = _pinhole(fit, image_size, 0)
-    if square.rms_px < BETTER * shaped.rms_px or abs(shaped.height - 1) < NEARLY_SQUARE:
+    square_px, _ = _pinhole(fit, image_size, cv2.CALIB_FIX_ASPECT_RATIO)
+    shaped_px, pixel_height = _pinhole(fit, image_size, 0)
+    if square_px < BETTER * shaped_px or abs(pixel_height - 1) < NEARLY_SQUARE:
         return ""
     width, height = image_size
     return (
-        f"the camera's pixels are not square: {shaped.height:.4f} times as high as wide, the marks "
-        f"fit to {shaped.rms_px:.2f} px rms, as squares to {square.rms_px:.2f} px; use a format of "
+        f"the camera's pixels are not square: {pixel_height:.4f} times as high as wide, the marks "
+        f"fit to {shaped_px:.2f} px rms, as squares to {square_px:.2f} px; use a format of "
         f"the camera that does not squeeze its pictures, or scale them all to {width} x "
-        f"{round(height * shaped.height)} px"
+        f"{round(height * pixel_height)} px"
     )
 
 
-def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> PinholeFit:
+def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> tuple[float, float]:
+    """Px rms that a pinhole with distortion leaves of the marks; a pixel's height over width."""
     marks, boards = fit.marks, np.unique(fit.marks.board)
     each = [fit.good & (marks.board == board) for board in boards]
     on_board = np.column_stack([marks.board_mm, np.zeros(len(marks.board_mm))]).astype(np.float32)
@@ -98,8 +85,8 @@ def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> Pinhole
             flags=flags | cv2.CALIB_FIX_K3,
         )
     except cv2.error:  # poses that give it no start
-        return PinholeFit(np.inf, 1.0)
-    return PinholeFit(float(rms), float(camera[0, 0] / camera[1, 1]))
+        return np.inf, 1.0
+    return float(rms), float(camera[0, 0] / camera[1, 1])
 
 
 # Camera and poses from the views of a board, and which of the views they rest on.
@@ -190,13 +177,15 @@ def fit_views(
     while True:
         if len(numbers) < FEWEST_VIEWS:
             wanted = f"{FEWEST_VIEWS} views of the board, usable {len(numbers)}"
-            raise UnsolvedViews(f"the metric route needs {wanted}", _unfitted(views, faults))
+            raise UnsolvedViews(
+                f"the metric route needs {wanted}", _views_with_faults(views, faults)
+            )
         found = [seen for number in numbers if (seen := views[number].marks) is not None]
         marks = found_on(found, range(len(numbers)))
         start = best_start(marks, priors, optics.port, image_size[0])
         if start is None:
             message = "no camera explains the views of the board"
-            raise UnsolvedViews(message, _unfitted(views, faults))
+            raise UnsolvedViews(message, _views_with_faults(views, faults))
         fit = _fit(start, marks, priors)
         wrong = _worst_view(fit, marks)
         if wrong is None:
@@ -223,7 +212,7 @@ def fitted_views(views: Sequence[CalibrationView], used: UsedViews) -> list[Fitt
     """
     fit = used.fit
     miss = fit.marks.missed_px(fit.boards)
-    fitted = _unfitted(views, used.faults)
+    fitted = _views_with_faults(views, used.faults)
     for board, number in enumerate(used.numbers):
         mine = (fit.marks.board == board) & fit.good
         fitted[number] = replace(
@@ -245,7 +234,9 @@ def fitted_views(views: Sequence[CalibrationView], used: UsedViews) -> list[Fitt
     return fitted
 
 
-def _unfitted(views: Sequence[CalibrationView], faults: dict[int, str]) -> list[FittedView]:
+def _views_with_faults(
+    views: Sequence[CalibrationView], faults: dict[int, str]
+) -> list[FittedView]:
     """The views as read, with the faults of some by number."""
     return [
         FittedView(view.name, view.marks, view.line, view.fault, reason=faults.get(number, ""))
@@ -356,7 +347,7 @@ class SolvedViews:
     @property
     def rms_px(self) -> float:
         """Root mean square length of the used marks' residuals in all used views."""
-        return _pooled([(view.rms_px, view.marks_used) for view in self.views if view.used])
+        return _pooled_rms([(view.rms_px, view.marks_used) for view in self.views if view.used])
 
 
 @dataclass(frozen=True)
@@ -404,7 +395,7 @@ class MetricCalibration(SolvedViews):
     def line_rms_mm(self) -> float:
         """Root mean square distance of the used line points from the sheet."""
         lines = [view for view in self.views if view.line_used]
-        return _pooled([(view.line_rms_mm, view.line_points_used) for view in lines])
+        return _pooled_rms([(view.line_rms_mm, view.line_points_used) for view in lines])
 
 
 def _place(view: CalibrationView) -> bytes:
@@ -440,7 +431,7 @@ def calibrate_camera(
     ]
     priors = priors_of(optics, image_size, k3, assume_webcam=False)
     used = fit_views(views, optics, priors, image_size)
-    solved = _solved(used, fitted_views(views, used), optics, image_size, k3)
+    solved = _solved_fields(used, fitted_views(views, used), optics, image_size, k3)
     return CameraCalibration(theta=used.fit.boards.theta[:COUNT], **solved)
 
 
@@ -494,11 +485,11 @@ def calibrate_metric(
         number = used.numbers[board]
         fitted[number] = _with_line(fitted[number], board, plane)
     plane_map = _map_of(used, lines, plane, optics, image_size)
-    solved = _solved(used, fitted, optics, image_size, k3)
+    solved = _solved_fields(used, fitted, optics, image_size, k3)
     return MetricCalibration(plane_map=plane_map, **solved)
 
 
-def _solved(
+def _solved_fields(
     used: UsedViews,
     views: Sequence[FittedView],
     optics: OpticsSection,
@@ -565,7 +556,7 @@ def _with_reason(view: FittedView, fault: str) -> FittedView:
     return replace(view, reason="; ".join(filter(None, (view.reason, fault))))
 
 
-def _pooled(parts: list[tuple[float, int]]) -> float:
+def _pooled_rms(parts: list[tuple[float, int]]) -> float:
     """Root mean square of parts of a root mean square and a count each."""
     rms, count = np.array(parts).T
     return float(np.sqrt((rms**2 * count).sum() / count.sum()))

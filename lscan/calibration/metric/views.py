@@ -153,11 +153,11 @@ def _board_region(marks: Marks, outline_mm: Outline) -> Region | None:
     corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
     if (np.column_stack([corners, np.ones(4)]) @ homography[2] <= 0).any():
         return None  # a corner lies behind the camera
-    missed = np.linalg.norm(_mapped(homography, board_mm) - seen, axis=1).max()
-    return region_around(_mapped(homography, corners), -(EDGE_PX + float(missed)))
+    missed = np.linalg.norm(_under_homography(homography, board_mm) - seen, axis=1).max()
+    return region_around(_under_homography(homography, corners), -(EDGE_PX + float(missed)))
 
 
-def _mapped(homography: cv2.typing.MatLike, points: Floats) -> Floats:
+def _under_homography(homography: cv2.typing.MatLike, points: Floats) -> Floats:
     """(N, 2) points under a homography."""
     return np.asarray(cv2.perspectiveTransform(points[:, None], homography)[:, 0], dtype=float)
 

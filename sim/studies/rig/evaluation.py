@@ -15,8 +15,8 @@ from itertools import pairwise
 import numpy as np
 
 from lscan.board import read_board
-from lscan.calibration.calibrate import screened
-from lscan.calibration.check import carried
+from lscan.calibration.calibrate import without_outliers
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.planemap import NamedSolver, find_solver, joined_marks, with_marks
 from lscan.errors import MeasurementError
 from lscan.records import BoardReading, Floats, Status, select
@@ -251,10 +251,10 @@ class GeometricRig:
 
         frame: of that calibration, to the head's.
         """
-        sound = screened(reading).reading
+        sound = without_outliers(reading).reading
         plane_map = self._solver.bare(sound, self.study.calibrate.rig.optics)
         scan, places = self.study.scan, self.prepared.places
-        xz = located(carried(plane_map, scan.rig), pixels)
+        xz = located(map_for_rig(plane_map, scan.rig), pixels)
         head = frame.apply(np.column_stack([xz[:, 0], np.zeros(len(xz)), xz[:, 1]]))
         found = np.flatnonzero(np.isfinite(xz).all(axis=1))
         measured = np.full(head.shape, np.nan)

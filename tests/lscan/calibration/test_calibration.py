@@ -137,6 +137,8 @@ def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
         (_set("reading.rulers.0.direction", "slanted"), "reading.rulers.0.direction"),
         (_set("reading.dots.A1.sigma_px", None), "reading.dots.A1"),
         (_set("reading.dots.A1.image_px", [1.0]), "reading.dots.A1"),
+        (_set("reading.dots.A1.image_px", [[1.0, 2.0]]), "reading.dots.A1"),
+        (_set("reading.rings.E", {"image_px": [1.0, 2.0], "sigma_px": [0.1]}), "reading.rings.E"),
         (_set("reading.rings.E.sigma_px", [0.1]), "reading.rings.E"),
         (_set("reading.rings.E.sigma_px.3", -0.1), "reading.rings.E"),
         (_set("reading.image_size", [640, 0]), "reading.image_size"),

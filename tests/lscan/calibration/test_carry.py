@@ -10,7 +10,7 @@ from metricviews import SIZE, known, paper_rig, poses, views_of
 from planeviews import View, paper_board, read_board
 from scipy.spatial.transform import Rotation
 
-from lscan.calibration.check import carried
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.maps.refractive import Refractive
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.metric.solve import calibrate_metric
@@ -65,7 +65,9 @@ def solved() -> Refractive:
 def test_exact_in_any_water(solved: Refractive, temperature_c: float, salinity_psu: float) -> None:
     """The same rig seen through other water: 1e-6 mm, what the solution from exact marks leaves."""
     view = View(n_water=refractive_index(temperature_c, salinity_psu, 650.0))
-    found = carried(solved, in_water(temperature_c, salinity_psu)).to_plane(view.project(POINTS))
+    found = map_for_rig(solved, in_water(temperature_c, salinity_psu)).to_plane(
+        view.project(POINTS)
+    )
     assert (found.status == Status.OK).all()
     np.testing.assert_allclose(found.xz_mm, POINTS, rtol=0, atol=1e-5)
 
@@ -76,9 +78,9 @@ def test_the_uncertainty_of_the_index_is_carried(solved: Refractive) -> None:
     To 1 % of it: the map is linear in the index within 0.002 to 0.2 %.
     """
     tight, wide = (
-        carried(solved, rig_of({"water_index": (1.338, sigma)})) for sigma in (0.0, 0.002)
+        map_for_rig(solved, rig_of({"water_index": (1.338, sigma)})) for sigma in (0.0, 0.002)
     )
-    above = carried(solved, rig_of({"water_index": (1.340, 0.0)}))
+    above = map_for_rig(solved, rig_of({"water_index": (1.340, 0.0)}))
     pixels = replace(VIEW, n_water=1.338).project(POINTS)
     displaced = above.to_plane(pixels).xz_mm - tight.to_plane(pixels).xz_mm
     more = wide.to_plane(pixels).sigma_mm ** 2 - tight.to_plane(pixels).sigma_mm ** 2
@@ -125,7 +127,7 @@ def test_what_may_have_changed_enters_as_it_displaces(
     pixels = VIEW.project(POINTS)
     before = solved.to_plane(pixels)
     rig = in_water(20.0, 0.0).model_copy(update={"since_calibration": since})
-    after = carried(solved, rig).to_plane(pixels)
+    after = map_for_rig(solved, rig).to_plane(pixels)
     np.testing.assert_array_equal(after.xz_mm, before.xz_mm)
     views = [Changed(**{**vars(VIEW), **change}) for change in changed]
     displaced = [solved.to_plane(view.project(POINTS)).xz_mm - POINTS for view in views]
@@ -158,33 +160,33 @@ def test_a_metric_map_is_exact_in_any_water(
     other = replace(rig.camera, port=replace(rig.camera.port, water_index=index))
     pixels = np.stack(np.meshgrid([200.0, 320, 440], [150.0, 240, 330]), axis=-1).reshape(-1, 2)
     seen = project(other, rig.truth.meet(pixels))
-    found = carried(metric, in_water(temperature_c, salinity_psu)).to_plane(seen)
+    found = map_for_rig(metric, in_water(temperature_c, salinity_psu)).to_plane(seen)
     assert (found.status == Status.OK).all()
     np.testing.assert_allclose(found.xz_mm, rig.truth.locate(pixels), rtol=0, atol=1e-4)
 
 
 def test_the_same_statement_moves_nothing(solved: Refractive) -> None:
-    assert carried(solved, in_water(20.0, 0.0)) is solved
+    assert map_for_rig(solved, in_water(20.0, 0.0)) is solved
     silent = in_water(20.0, 0.0).model_copy(update={"optics": OpticsSection()})
-    assert carried(solved, silent) is solved
+    assert map_for_rig(solved, silent) is solved
 
 
 @pytest.mark.parametrize("name", ["polynomial-3", "graticule-2", "projective", "spline"])
 def test_maps_without_physics_are_refused(name: str) -> None:
     optics = in_water(20.0, 0.0).optics
     flat = find_solver(name).solve(read_board(BOARD, VIEW.project), optics)
-    assert carried(flat, in_water(20.0, 0.0)) is flat
+    assert map_for_rig(flat, in_water(20.0, 0.0)) is flat
     # Half a degree off, and stated less surely: 4e-5 of the index, which nobody sees.
-    assert carried(flat, rig_of({"temperature_c": (20.5, 0.5)})) is flat
+    assert map_for_rig(flat, rig_of({"temperature_c": (20.5, 0.5)})) is flat
     with pytest.raises(InputError, match=r"cannot be carried.*1\.338.*1\.331.*refractive"):
-        carried(flat, in_water(10.0, 35.0))
+        map_for_rig(flat, in_water(10.0, 35.0))
     changed = in_water(20.0, 0.0).model_copy(
         update={"since_calibration": SinceSection(sheet_shift_mm=0.5)}
     )
     with pytest.raises(InputError, match="since_calibration"):
-        carried(flat, changed)
+        map_for_rig(flat, changed)
     nothing = changed.model_copy(update={"since_calibration": SinceSection()})
-    assert carried(flat, nothing) is flat
+    assert map_for_rig(flat, nothing) is flat
 
 
 def test_a_map_whose_origin_sees_no_sheet_is_refused(metric: Metric) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings, strategies as st
 from planeviews import BARREL, View, board_points, paper_board, read_board, views
 
-from lscan.calibration.calibrate import calibrate, outliers, resolve, screened
+from lscan.calibration.calibrate import calibrate, outliers, resolve, without_outliers
 from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.calibration.planemap import all_marks, without
 from lscan.config.board import Grid
@@ -58,7 +58,7 @@ def count_of(reading: BoardReading) -> int:
 def test_sound_readings_are_untouched(view: View, seed: int) -> None:
     """Whatever lens, port and pose: what such a board shows is never taken for wrong."""
     reading = noisy(view, seed)
-    assert screened(reading).reading is reading
+    assert without_outliers(reading).reading is reading
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -160,7 +160,7 @@ def test_a_wrong_mark_of_a_ruler_is_named() -> None:
     seen = np.flatnonzero(ruler.marks.found)[4]
     image[seen] += [0.0, 3.0]
     spoilt = RulerReading(ruler.direction, ruler.at_mm, replace(ruler.marks, image_px=image))
-    found = screened(replace(reading, rulers=(spoilt, *reading.rulers[1:])))
+    found = without_outliers(replace(reading, rulers=(spoilt, *reading.rulers[1:])))
     np.testing.assert_array_equal(found.outliers_mm, ruler.marks.board_mm[[seen]])
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings, strategies as st
 from planeviews import View, board_points, paper_board, read_board
 
 from lscan.calibration.maps.refractive import Refractive, solver
-from lscan.calibration.physical import BLOCK, SHARE, PhysicalMap, PixelTable, tabulated
+from lscan.calibration.physical import BLOCK, SHARE, PhysicalMap, PixelTable, pixel_table
 from lscan.calibration.planemap import Region
 from lscan.config.rig import OpticsSection, SinceSection
 from lscan.records import Floats
@@ -22,7 +22,7 @@ def somewhere(count: int, seed: int = 1) -> Floats:
 
 
 def table_of(values: object) -> PixelTable:
-    table = tabulated(values, REGION)  # type: ignore[arg-type]
+    table = pixel_table(values, REGION)  # type: ignore[arg-type]
     assert table is not None
     return table
 
@@ -68,7 +68,7 @@ def test_analytic_functions_are_within_the_share(pole: float) -> None:
     lambda px: (px[:, :1] > 300.0) * 1.0,
 ])  # fmt: skip
 def test_what_is_not_smooth_has_no_table(function: object) -> None:
-    assert tabulated(function, REGION) is None  # type: ignore[arg-type]
+    assert pixel_table(function, REGION) is None  # type: ignore[arg-type]
 
 
 def test_no_values_and_no_pixels() -> None:
@@ -99,7 +99,7 @@ def test_a_maps_sigma_is_that_without_tables(monkeypatch: pytest.MonkeyPatch) ->
     solved, image = solved_map(), View().project(board_points(300, seed=2))
     quick = solved.to_plane(image, np.full(300, 0.1))
     assert solved._tables is not None and all(solved._tables)
-    monkeypatch.setattr("lscan.calibration.physical.tabulated", lambda *_: None)
+    monkeypatch.setattr("lscan.calibration.physical.pixel_table", lambda *_: None)
     exact = solved.model_copy().to_plane(image, np.full(300, 0.1))
     np.testing.assert_array_equal(quick.xz_mm, exact.xz_mm)
     assert quick.modes_mm is not None and exact.modes_mm is not None
@@ -116,6 +116,6 @@ def test_a_changed_map_has_tables_of_its_own() -> None:
     solved: PhysicalMap = solved_map()
     image = View().project(board_points(50, seed=2))
     before = solved.to_plane(image).sigma_mm
-    since = solved.changed_since(SinceSection(sheet_shift_mm=2.0))
+    since = solved.with_changes_since(SinceSection(sheet_shift_mm=2.0))
     assert (since.to_plane(image).sigma_mm[:, 1] > before[:, 1] + 0.1).all()
     np.testing.assert_array_equal(solved.to_plane(image).sigma_mm, before)

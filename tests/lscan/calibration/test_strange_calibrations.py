@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from peak_memory import refused_within
 
-from lscan.calibration.calibrationfile import load_plane_map, save_calibration, save_metric
+from lscan.calibration.calibrationfile import load_plane_map, save_calibration
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.errors import InputError, LscanError
 
@@ -34,7 +34,7 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         save_calibration(folder / name, drawn_calibration(name))
     rig, rng = paper_rig(), np.random.default_rng(1)
     views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
-    save_metric(folder / "metric", calibrate_metric(views, known(rig), SIZE))
+    save_calibration(folder / "metric", calibrate_metric(views, known(rig), SIZE))
     return {file.name: file.read_text() for file in folder.iterdir()}
 
 

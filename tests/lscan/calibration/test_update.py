@@ -12,8 +12,18 @@ from planeviews import BARREL, View, paper_board, read_board
 
 from lscan.calibration import physical
 from lscan.calibration.calibrate import Calibration, calibrate
-from lscan.calibration.calibrationfile import AnyCalibration, load_any, load_plane_map, save_any
-from lscan.calibration.check import CalibrationCheck, check_calibration, corrected, proposed
+from lscan.calibration.calibrationfile import (
+    AnyCalibration,
+    load_any,
+    load_plane_map,
+    save_calibration,
+)
+from lscan.calibration.check import (
+    CalibrationCheck,
+    check_calibration,
+    corrected_calibration,
+    fitting_corrections,
+)
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.planemap import Estimate, SheetCorrection
 from lscan.camera import project
@@ -42,7 +52,7 @@ def without_tables(monkeypatch: pytest.MonkeyPatch) -> None:
 
     Tables for every index that is tried take longer than the marks of one picture.
     """
-    monkeypatch.setattr(physical, "tabulated", lambda *_: None)
+    monkeypatch.setattr(physical, "pixel_table", lambda *_: None)
 
 
 def _reading(view: View, seed: int) -> BoardReading:
@@ -98,9 +108,9 @@ def test_a_scale_is_corrected_and_then_agrees() -> None:
     calibration = calibrate(_reading(BARREL, 1), "spline")
     reading = _enlarged(BARREL, 1.004)
     found = check_calibration(calibration, reading)
-    assert found.reasons == ("scale",) and proposed(found) == ("scale",)
+    assert found.reasons == ("scale",) and fitting_corrections(found) == ("scale",)
     assert found.index is None
-    better = corrected(calibration, reading, ("scale",))
+    better = corrected_calibration(calibration, reading, ("scale",))
     assert check_calibration(better, _enlarged(BARREL, 1.004)).agrees
     points = better.plane_map.to_plane(BARREL.project(1.004 * PLACES))
     known_ = points.status == Status.OK
@@ -115,8 +125,8 @@ def test_a_shift_is_corrected_where_the_placing_is_known() -> None:
         BOARD, lambda xz: BARREL.project(xz + MOVED), NOISE_PX, np.random.default_rng(6)
     )
     found = check_calibration(calibration, moved, placed_mm=0.05)
-    assert "shift" in found.reasons and proposed(found)[-1] == "shift"
-    better = corrected(calibration, moved, ("shift",), placed_mm=0.05)
+    assert "shift" in found.reasons and fitting_corrections(found)[-1] == "shift"
+    better = corrected_calibration(calibration, moved, ("shift",), placed_mm=0.05)
     again = check_calibration(better, moved, placed_mm=0.05)
     assert "shift" not in again.reasons
     points = better.plane_map.to_plane(BARREL.project(PLACES + MOVED))
@@ -128,9 +138,9 @@ def test_a_shift_is_corrected_where_the_placing_is_known() -> None:
 def test_an_index_that_no_water_has_is_not_proposed() -> None:
     """The board of another rig say: it fits best with an index of 1.39, and a scale is off."""
     found = _found_in_sea()
-    assert found.index is not None and proposed(found) == ("index",)
+    assert found.index is not None and fitting_corrections(found) == ("index",)
     glass = replace(found, index=replace(found.index, index=1.392))
-    assert proposed(glass) == ("scale",)
+    assert fitting_corrections(glass) == ("scale",)
 
 
 @cache
@@ -151,13 +161,13 @@ def _found_in_sea() -> CalibrationCheck:
 @cache
 def _corrected_in_sea() -> AnyCalibration:
     calibration, _, reading = _in_sea()
-    return corrected(calibration, reading, ("index",))
+    return corrected_calibration(calibration, reading, ("index",))
 
 
 def test_another_water_is_found_and_corrected(tmp_path: Path) -> None:
     _, sea, _ = _in_sea()
     found = _found_in_sea()
-    assert not found.agrees and proposed(found) == ("index",)
+    assert not found.agrees and fitting_corrections(found) == ("index",)
     assert found.index is not None
     assert abs(found.index.index - 1.339) < 4 * found.index.sigma
     assert found.index.sigma < 0.002
@@ -165,7 +175,7 @@ def test_another_water_is_found_and_corrected(tmp_path: Path) -> None:
     assert check_calibration(better, _reading(sea, 3)).agrees
     points = better.plane_map.to_plane(sea.project(PLACES))
     assert (np.abs(points.xz_mm - PLACES) < 4 * points.sigma_mm).all()
-    save_any(tmp_path / "better.json", better)
+    save_calibration(tmp_path / "better.json", better)
     again, size = load_plane_map(tmp_path / "better.json")
     assert size == (640, 480)
     np.testing.assert_array_equal(again.to_plane(sea.project(PLACES)).xz_mm, points.xz_mm)
@@ -176,7 +186,7 @@ def test_a_stated_water_explains_the_difference() -> None:
     calibration, _, reading = _in_sea()
     stated = KNOWN.model_copy(update={"water_index": (1.339, 0.0002)})
     found = check_calibration(calibration, reading, optics=stated)
-    assert found.agrees and proposed(found) == ()
+    assert found.agrees and fitting_corrections(found) == ()
     spline = calibrate(calibration.reading, "spline", KNOWN)
     with pytest.raises(InputError, match="cannot be carried"):
         check_calibration(spline, reading, optics=stated)
@@ -185,7 +195,7 @@ def test_a_stated_water_explains_the_difference() -> None:
 def test_a_map_without_water_has_no_index_to_correct() -> None:
     calibration = calibrate(_reading(BARREL, 1), "polynomial-5")
     with pytest.raises(InputError, match="index of the water"):
-        corrected(calibration, _reading(BARREL, 2), ("index",))
+        corrected_calibration(calibration, _reading(BARREL, 2), ("index",))
 
 
 def _dots_in_sheet(index: float) -> BoardReading:
@@ -217,14 +227,14 @@ def test_a_metric_calibration_is_checked_and_corrected(tmp_path: Path) -> None:
     assert check_calibration(calibration, _dots_in_sheet(1.3313)).agrees
     sea = _dots_in_sheet(1.339)
     found = check_calibration(calibration, sea)
-    assert not found.agrees and proposed(found) == ("index",)
-    better = corrected(calibration, sea, ("index",))
-    save_any(tmp_path / "better.json", better)
+    assert not found.agrees and fitting_corrections(found) == ("index",)
+    better = corrected_calibration(calibration, sea, ("index",))
+    save_calibration(tmp_path / "better.json", better)
     assert check_calibration(load_any(tmp_path / "better.json"), sea).agrees
     with pytest.raises(InputError, match=r"placed_mm.*one picture"):
         check_calibration(calibration, sea, placed_mm=0.1)
     with pytest.raises(InputError, match=r"placed_mm.*one picture"):
-        corrected(calibration, sea, ("shift",))
+        corrected_calibration(calibration, sea, ("shift",))
     assert calibration.plane_map.name == "metric"
 
 
@@ -252,9 +262,9 @@ def test_what_no_correction_can_be_made_of_is_refused() -> None:
     calibration = calibrate(_reading(BARREL, 1), "polynomial-5")
     reading = _reading(BARREL, 2)
     with pytest.raises(InputError, match=r"placed_mm: a shift"):
-        corrected(calibration, reading, ("shift",))
+        corrected_calibration(calibration, reading, ("shift",))
     with pytest.raises(InputError, match="image size"):
-        corrected(calibration, replace(reading, image_size=(320, 240)), ("scale",))
+        corrected_calibration(calibration, replace(reading, image_size=(320, 240)), ("scale",))
 
     def half(marks: Marks) -> Marks:
         return replace(marks, board_mm=marks.board_mm / 2)
@@ -262,4 +272,4 @@ def test_what_no_correction_can_be_made_of_is_refused() -> None:
     rulers = tuple(replace(ruler, marks=half(ruler.marks)) for ruler in reading.rulers)
     other = replace(reading, grid=half(reading.grid), rulers=rulers)
     with pytest.raises(MeasurementError, match=r"off by \+100 %"):
-        corrected(calibration, other, ("scale",))
+        corrected_calibration(calibration, other, ("scale",))

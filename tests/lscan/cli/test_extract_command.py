@@ -11,8 +11,8 @@ from drawn_runs import sandwave_run
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from PIL import ExifTags, Image
 
-from lscan.calibration.calibrationfile import save_metric
-from lscan.calibration.check import carried
+from lscan.calibration.calibrationfile import save_calibration
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.metric.solve import MetricCalibration, calibrate_metric
 from lscan.files.pictures import read_picture, write_picture
 
@@ -148,7 +148,7 @@ def test_a_calibration_gives_points_in_mm(
     solved: MetricCalibration, picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calibration, table = tmp_path / "c.json", tmp_path / "line.csv"
-    save_metric(calibration, solved)
+    save_calibration(calibration, solved)
     code, out, err = call(
         capsys, "extract", picture, "-c", calibration, "-o", table, "--returns", "first", "--json"
     )
@@ -171,13 +171,13 @@ def test_the_map_is_carried_to_the_water_of_a_run(
     solved: MetricCalibration, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calibration, table = tmp_path / "c.json", tmp_path / "line.csv"
-    save_metric(calibration, solved)
+    save_calibration(calibration, solved)
     run = sandwave_run(tmp_path / "run", 1, optics={"water_index": [1.4, 0.001]})
     code, _, err = call(capsys, "extract", run.path, "-c", calibration, "-o", table)
     assert code == 0, err
     row = next(row for row in rows_of(table) if row["x_mm"])
     pixel = np.array([[float(row["column"]), float(row["centre_px"])]])
-    there = carried(solved.plane_map, run.rig_file.rig).to_plane(pixel).xz_mm[0]
+    there = map_for_rig(solved.plane_map, run.rig_file.rig).to_plane(pixel).xz_mm[0]
     here = solved.plane_map.to_plane(pixel).xz_mm[0]
     np.testing.assert_allclose([float(row["x_mm"]), float(row["z_mm"])], there, rtol=1e-9)
     assert np.abs(there - here).max() > 0.1  # else the water would not be seen to count
@@ -187,7 +187,7 @@ def test_both_lines_of_two_lasers_are_read(
     solved: MetricCalibration, picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     calibration = tmp_path / "c.json"
-    save_metric(calibration, solved)
+    save_calibration(calibration, solved)
     overlay = tmp_path / "seen.png"
     code, out, err = call(
         capsys, "extract", picture, "--returns", "both", "-c", calibration, "-c", calibration,
@@ -232,7 +232,7 @@ def test_bad_parts_and_calibrations_are_refused(
     write_picture(tmp_path / "black.png", np.zeros((SIZE[1], SIZE[0]), dtype=np.uint8))
     refused(call(capsys, "extract", picture, "--mask", tmp_path / "black.png"), "--mask")
     calibration = tmp_path / "c.json"
-    save_metric(calibration, solved)
+    save_calibration(calibration, solved)
     refused(call(capsys, "extract", small, "-c", calibration), "small.png", "640 x 480")
     refused(call(capsys, "extract", picture, "--returns", "third"), "--returns", "third", "both")
     lower = ("--returns", "both", "--roi", f"0,{LOWER - 15:.0f},639,{LOWER + 15:.0f}")

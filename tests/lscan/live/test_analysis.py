@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from planeviews import View, board_points, paper_board, read_board
+from planeviews import View, paper_board, read_board
 from stripe_pictures import light_of
 
 from lscan.calibration.calibrate import calibrate
@@ -13,7 +13,6 @@ from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.live.analysis import (
     BAND_PX,
-    NODE_PX,
     band_of_line,
     figures_json,
     jpeg_of,
@@ -22,9 +21,8 @@ from lscan.live.analysis import (
     packed,
     sharpness,
     slope_of,
-    tabulate,
 )
-from lscan.records import PlanePoints, Status, Stripe, has_value
+from lscan.records import PlanePoints, Status, has_value
 from lscan.stripe import extract_stripe
 
 HEIGHT, WIDTH = 240, 160
@@ -168,7 +166,21 @@ def test_what_is_no_picture_is_refused():
         measure_line(np.zeros((4, 4), dtype=np.float64), SETTINGS, None)
 
 
-# ---- the table of a map -----------------------------------------------------------------
+# ---- the profile ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["graticule-2", "projective"])
+def test_the_profile_is_what_the_map_says_of_the_line(name):
+    reading = read_board(paper_board(), View().project)
+    plane_map = calibrate(reading, name).plane_map
+    centres = 240 + 20 * np.sin(np.arange(640) / 50)
+    figures = measure_line(picture(centres=centres, rows=480), SETTINGS, plane_map)
+    stripe = figures.line.stripe
+    exact = plane_map.to_plane(stripe.image_px, stripe.sigma_px)
+    np.testing.assert_array_equal(figures.profile.xz_mm, exact.xz_mm)
+    assert np.isfinite(exact.xz_mm[:, 0]).sum() > 500
+    document = figures_json(figures)["profile"]
+    assert document["sigma_mm"] == pytest.approx(np.nanmedian(exact.sigma_mm[:, 1]), abs=1e-4)
 
 
 class Parabola:
@@ -183,51 +195,6 @@ class Parabola:
         xz[u < 40], sigma[u < 40] = np.nan, np.nan
         status = np.where(u < 40, Status.OUT_OF_BOARD, Status.OK)
         return PlanePoints(xz, sigma, status)
-
-
-def stripe_at(centre_px, sigma_px=0.3, axis="columns"):
-    count = len(centre_px)
-    peak, status = np.full(count, 100.0), np.full(count, int(Status.OK))
-    return Stripe(axis, np.asarray(centre_px, float), np.full(count, sigma_px), peak, status)
-
-
-def test_the_table_is_bilinear_between_its_nodes():
-    table = tabulate(Parabola(), (WIDTH, HEIGHT))
-    profile = table.profile(stripe_at(CENTRES))
-    u = np.arange(WIDTH)
-    assert np.isnan(profile.xz_mm[u < 40]).all()
-    known = u >= 40 + NODE_PX
-    exact = Parabola().to_plane(np.column_stack([u, CENTRES])).xz_mm
-    assert profile.xz_mm[known, 0] == pytest.approx(exact[known, 0], abs=1e-9)
-    error = profile.xz_mm[known, 1] - exact[known, 1]
-    assert error.min() > -1e-9
-    assert error.max() == pytest.approx(NODE_PX**2 / 8 * 2 * Parabola.bend, rel=1e-6)
-    # z moves by 1/3 mm a pixel down.
-    assert profile.sigma_mm[known] == pytest.approx(np.hypot(0.25, 0.3 / 3), abs=1e-9)
-
-
-def test_the_last_column_and_row_have_a_value():
-    table = tabulate(Parabola(), (WIDTH, HEIGHT))
-    assert np.isfinite(table.profile(stripe_at([np.nan] * 50 + [HEIGHT - 1.0])).xz_mm[-1]).all()
-    across = stripe_at(np.full(HEIGHT, WIDTH - 1.0), axis="rows")
-    assert np.isfinite(table.profile(across).xz_mm).all()
-
-
-def test_the_table_of_a_real_map_agrees_with_it():
-    reading = read_board(paper_board(), View().project)
-    plane_map = calibrate(reading, "graticule-2").plane_map
-    table = tabulate(plane_map, (640, 480))
-    points = View().project(board_points(200, seed=4))
-    order = np.argsort(points[:, 0])
-    u = np.round(points[order, 0]).astype(int)
-    centre = np.full(640, np.nan)
-    centre[u] = points[order, 1]
-    profile = table.profile(stripe_at(centre))
-    exact = plane_map.to_plane(np.column_stack([np.arange(640), centre])).xz_mm
-    both = np.isfinite(profile.xz_mm[:, 0]) & np.isfinite(exact[:, 0])
-    assert both.sum() > 100
-    # Slopes of about 1 mm/px change by under 5 % from cell to cell: NODE_PX / 4 of that.
-    assert profile.xz_mm[both] == pytest.approx(exact[both], abs=NODE_PX / 4 * 0.05)
 
 
 # ---- on the wire ------------------------------------------------------------------------
@@ -247,10 +214,9 @@ def test_a_frame_is_length_json_and_jpeg():
 
 
 def test_the_profile_has_null_where_the_map_has_no_value():
-    table = tabulate(Parabola(), (WIDTH, HEIGHT))
-    figures = measure_line(picture(), SETTINGS, table)
+    figures = measure_line(picture(), SETTINGS, Parabola())
     document = figures_json(figures)["profile"]
     assert document["x_mm"][:40] == document["z_mm"][:40] == [None] * 40
     assert document["x_mm"][100] == pytest.approx(50.0)
-    assert document["sigma_mm"] > 0.25 - 1e-4
+    assert document["sigma_mm"] == 0.25
     assert has_value(figures.line.stripe.status).all()

@@ -17,7 +17,7 @@ from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
 from lscan.errors import DeviceError, DiskError, InputError
-from lscan.live.analysis import MOVED_MM, BestFocus, Figures, MapTable, measure_line
+from lscan.live.analysis import MOVED_MM, BestFocus, Figures, measure_line
 from lscan.live.devices import NotNow
 from lscan.live.scanning import LiveCalibration, find_unfinished, next_name
 from lscan.live.session import Newest, Session
@@ -501,8 +501,7 @@ def test_optics_are_aligned_only_without_calibration_and_scan(
         assert phase() == "scan"
         session.scanning.stop()
         assert phase() == "alignment"
-        table = MapTable(np.full((5, 10, 10), np.nan))
-        session._calibration = LiveCalibration(tmp_path / "c.json", None, table)  # type: ignore
+        session._calibration = LiveCalibration(tmp_path / "c.json", None)  # type: ignore
         assert phase() == "calibrated"
 
 

@@ -43,7 +43,7 @@ def test_a_map_that_is_not_carried_fails_its_rows(monkeypatch: pytest.MonkeyPatc
     effort = replace(FULL, seeds=(1, 2), plain=True)
     rigs = list(water.refractive_rigs(SCENES, effort))
     assert all(isinstance(rig.plane_map, PhysicalMap) for rig in rigs)
-    monkeypatch.setattr(water, "carried", lambda plane_map, rig: plane_map)
+    monkeypatch.setattr(water, "map_for_rig", lambda plane_map, rig: plane_map)
     bias, intervals = water._in_other_water("refractive", rigs, effort)
     assert bias.passed is False and bias.figure > 10 * (bias.bar or 0.0)
     assert intervals.passed is False

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from lscan.calibration.check import carried
+from lscan.calibration.check import map_for_rig
 from lscan.calibration.physical import PhysicalMap
 from lscan.config.rig import OpticsSection, Rig, SinceSection
 from lscan.records import Floats
@@ -196,7 +196,7 @@ def _errors(there: Scene, rig: DrawnRig, stated: Rig | None) -> PlaceErrors:
     stated: the rig of the scan, to which the map is carried; None: the map as it is.
     """
     head = _places(there)
-    plane_map = rig.plane_map if stated is None else carried(rig.plane_map, stated)
+    plane_map = rig.plane_map if stated is None else map_for_rig(rig.plane_map, stated)
     points = plane_map.to_plane(project(there, head))
     true = rig.frame.invert(head)[:, [0, 2]]
     return PlaceErrors((points.xz_mm - true)[None], points.sigma_mm[None])

@@ -13,7 +13,7 @@ from lscan.calibration import calibrate as crossvalidation
 from lscan.calibration.calibrate import Score, calibrate, deal, resolve, try_maps
 from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.calibration.maps import auto
-from lscan.calibration.maps.auto import Auto, calibrate_best, ranked
+from lscan.calibration.maps.auto import Auto, best_first, calibrate_best
 from lscan.calibration.planemap import NamedSolver, find_solver, without
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, RulerReading
@@ -187,7 +187,7 @@ def test_ranked_by_error_among_the_complete() -> None:
         Score("worse", 0.03, 0.04, points=100),
         Score("better", 0.02, 0.09, points=97),
     )
-    assert [score.name for score in ranked(scores)] == ["better", "worse", "choosy", "refused"]
+    assert [score.name for score in best_first(scores)] == ["better", "worse", "choosy", "refused"]
 
 
 def test_of_tied_maps_the_surest_comes_first() -> None:
@@ -196,7 +196,11 @@ def test_of_tied_maps_the_surest_comes_first() -> None:
         Score("surest", 0.021, 0.04, sigma_mm=0.01, tied=True, points=100),
         Score("sure but wrong", 0.040, 0.09, sigma_mm=0.001, points=100),
     )
-    assert [score.name for score in ranked(scores)] == ["surest", "least error", "sure but wrong"]
+    assert [score.name for score in best_first(scores)] == [
+        "surest",
+        "least error",
+        "sure but wrong",
+    ]
 
 
 def test_ties_are_of_maps_that_the_marks_do_not_distinguish() -> None:

@@ -225,7 +225,7 @@ def without_tables(monkeypatch: pytest.MonkeyPatch) -> None:
 
     To make a map's tables takes longer than to compute the few pixels that are asked for here.
     """
-    monkeypatch.setattr(physical, "tabulated", lambda *_: None)
+    monkeypatch.setattr(physical, "pixel_table", lambda *_: None)
 
 
 @pytest.mark.slow

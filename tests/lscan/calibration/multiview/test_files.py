@@ -16,8 +16,7 @@ from lscan.calibration.calibrationfile import (
     load_camera,
     load_metric,
     load_plane_map,
-    save_camera,
-    save_metric,
+    save_calibration,
 )
 from lscan.calibration.metric import views as viewsfile
 from lscan.calibration.metric.solve import (
@@ -47,7 +46,7 @@ def solved() -> MetricCalibration:
 
 
 def test_a_file_comes_back_number_for_number(solved: MetricCalibration, tmp_path: Path) -> None:
-    save_metric(tmp_path / "a.json", solved)
+    save_calibration(tmp_path / "a.json", solved)
     read = load_metric(tmp_path / "a.json")
     pixels = np.array([[250.0, 200.0], [319.5, 239.5], [400.0, 260.0]])
     one, two = solved.plane_map.to_plane(pixels), read.plane_map.to_plane(pixels)
@@ -55,12 +54,12 @@ def test_a_file_comes_back_number_for_number(solved: MetricCalibration, tmp_path
     np.testing.assert_array_equal(one.sigma_mm, two.sigma_mm)
     assert [view.reason for view in read.views] == [view.reason for view in solved.views]
     assert (read.rms_px, read.line_rms_mm) == (solved.rms_px, solved.line_rms_mm)
-    save_metric(tmp_path / "b.json", read)
+    save_calibration(tmp_path / "b.json", read)
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
 def test_a_file_can_be_solved_again(solved: MetricCalibration, tmp_path: Path) -> None:
-    save_metric(tmp_path / "a.json", solved)
+    save_calibration(tmp_path / "a.json", solved)
     read = load_metric(tmp_path / "a.json")
     again = calibrate_metric(read.views, read.optics, read.image_size, read.k3)
     # The order of sums differs with the arrays' place in memory; the fit stops where the sum
@@ -127,7 +126,7 @@ def test_a_spoilt_file_is_refused(
     named: str,
 ) -> None:
     path = tmp_path / "a.json"
-    save_metric(path, solved)
+    save_calibration(path, solved)
     document = json.loads(path.read_text())
     spoil(document)
     path.write_text(json.dumps(document))
@@ -290,7 +289,7 @@ def test_a_camera_is_kept_and_used_for_a_later_sheet(tmp_path: Path) -> None:
     focal = json.loads(result.output)["camera"]["focal_px"]
     assert abs(focal["value"] - 850.0) < 5 * focal["sigma"]
     read = load_camera(camera)
-    save_camera(tmp_path / "again.json", read)
+    save_calibration(tmp_path / "again.json", read)
     assert (tmp_path / "again.json").read_bytes() == camera.read_bytes()
     with pytest.raises(InputError, match=r"camera alone.*--camera"):
         load_plane_map(camera)
