@@ -1,12 +1,14 @@
 """Pages: a figure ready for one, numbers as it writes them, and its template of Jinja2.
 
-Nothing is drawn here, so that Matplotlib is not loaded by who only fills a page.
+Nothing is drawn here and Jinja is loaded late: who imports a report loads no plotting library.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ def signed(value: float, digits: int) -> str:
     return f"{value:+.{digits}f}".replace("-", "−")
 
 
-def page_template(package: str, name: str, **filters: Callable[..., object]) -> Template:
+def page_template(package: str, name: str, **filters: Callable[..., object]) -> "Template":
     """The template of a page.
 
     Parameters
@@ -64,6 +66,8 @@ def page_template(package: str, name: str, **filters: Callable[..., object]) -> 
     jinja2.Template
         What is filled in is escaped; a value that the template needs and does not get is an error.
     """
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     environment = Environment(
         loader=PackageLoader(package, ""),
         autoescape=True,
