@@ -4,7 +4,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from numpy.typing import NDArray
 
 from lscan.board.picture import bright_marks
@@ -28,6 +27,8 @@ def board_svg(board: Board) -> str:
     ----------
     board : Board, mm, its plate and marks
     """
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # who reads boards needs none
+
     left, right, bottom, top = board.outline_mm()
     plate, mark = (PAPER, INK) if board.marks == "dark" else (INK, PAPER)
     environment = Environment(
