@@ -8,8 +8,7 @@ import numpy as np
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Floats
-from lscan.water import refractive_index
-from lscan.water.index import ATMOSPHERE_MPA, SALINITY_PSU, TEMPERATURE_C
+from lscan.water import ATMOSPHERE_MPA, SALINITY_PSU, TEMPERATURE_C, refractive_index
 
 
 @dataclass(frozen=True)

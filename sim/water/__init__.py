@@ -9,7 +9,7 @@ the range is refused.  The index of water itself is the instrument's too: ``lsca
 of more by photons counted in ``rings``.  ``tablecache`` keeps them.
 """
 
-from lscan.water.index import refractive_index
+from lscan.water import refractive_index
 from sim.water.optics import Optics, glass_index, water_index, water_optics
 from sim.water.phase import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 

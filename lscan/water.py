@@ -45,7 +45,7 @@ ZERO_C_IN_K = 273.15
 GAS_CONSTANT = 461.526  # J/(kg K)
 PRESSURE_SCALE_MPA, TEMPERATURE_SCALE_K = 16.53, 1386.0
 PRESSURE_SHIFT, TEMPERATURE_SHIFT = 7.1, 1.222
-TERMS = np.array(packaged_table("lscan.water", "tables.toml")["density_terms"])
+TERMS = np.array(packaged_table("lscan", "water.toml")["density_terms"])
 
 
 def fresh_water_density(temperature_c: float, pressure_mpa: float = ATMOSPHERE_MPA) -> float:
