@@ -1,4 +1,4 @@
-"""The one chain from a run's pictures to its calibration and its surface."""
+"""The one chain: from a run's pictures to its calibration, its surface and its measures."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -34,6 +34,8 @@ from lscan.surface.alignment import KeptAlignment
 from lscan.surface.shaft import ShaftFit, calibrate_shaft, shaft_of, stack_about
 from lscan.surface.surface import provenance_of, to_profiles
 from lscan.surface.thickness import correct_thickness
+
+# The one chain from a run's pictures to its calibration and its surface.
 
 READ_AT_ONCE = 16
 """Pictures whose lines are found, and whose points are mapped, in one call.  A call for one takes

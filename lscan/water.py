@@ -1,4 +1,4 @@
-"""The refusal of values for which a published formula was not made."""
+"""The refractive index of water and air, and the density of water, in their formulas' ranges."""
 
 from functools import lru_cache
 from math import sqrt
@@ -7,6 +7,8 @@ import numpy as np
 
 from lscan.errors import InputError
 from lscan.files.disk import packaged_table
+
+# The refusal of values for which a published formula was not made.
 
 Limits = tuple[float, float]
 

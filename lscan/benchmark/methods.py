@@ -1,4 +1,4 @@
-"""How long a call takes, by the clock that only runs forwards."""
+"""Every extractor on drawn lines, every map on drawn boards, and the limits they must keep."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +29,8 @@ from lscan.records import BoardReading, Floats, Status, Stripe, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.fit import centre_bound_px
 from lscan.stripe.picture import stated_noise
+
+# How long a call takes, by the clock that only runs forwards.
 
 Result = TypeVar("Result")
 

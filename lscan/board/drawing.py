@@ -1,4 +1,4 @@
-"""A calibration board as a drawing at its true size, for a printer or a milling machine."""
+"""The board drawn to be printed, and a picture with all that was found of it."""
 
 from typing import Any
 
@@ -10,6 +10,8 @@ from lscan.board.picture import bright_marks
 from lscan.board.search import BOX, local_pitch
 from lscan.config.board import Board
 from lscan.records import BoardReading, Bytes, Floats
+
+# A calibration board as a drawing at its true size, for a printer or a milling machine.
 
 CHECK_BAR_MM = 100.0
 STRIP_MM = 15.0  # beneath the plate, for the bar

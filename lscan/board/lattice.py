@@ -1,4 +1,4 @@
-"""Which dot is which, the local map from board to picture, and dots that do not belong."""
+"""Which dot is which: the map from board to picture, outliers, evidence that it is the board."""
 
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -13,6 +13,8 @@ from lscan.board.search import Nodes, expected_places, local_pitch, mean_beside
 from lscan.config.board import Board, Grid
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats, Mark, Marks, Mask, RingPoints, Status
+
+# Which dot is which, the local map from board to picture, and dots that do not belong.
 
 NEAREST = 20  # control points that carry a local polynomial of six coefficients
 OUTLIER = 0.01  # of the pitch: smallest miss that can make a dot an outlier

@@ -1,4 +1,4 @@
-"""Ruler marks and named dots: predicted from the grid, then found like the control points."""
+"""Ruler marks, named dots and milled circles: predicted from the grid, then found."""
 
 from dataclasses import dataclass
 
@@ -11,6 +11,8 @@ from lscan.board.picture import BLUR_PX, BoardPicture, disc_height, stand_alone,
 from lscan.board.search import Nodes, look
 from lscan.config.board import Dot, Ring, Ruler
 from lscan.records import Floats, Ints, Mark, Marks, Mask, RingPoints, RulerReading, Status
+
+# Ruler marks and named dots: predicted from the grid, then found like the control points.
 
 BOX = 0.3  # half side of the search box, of the distance to the next mark
 WIDEST_BOX_PX = 4.0  # the grid predicts a mark to some tenths of a pixel

@@ -1,4 +1,4 @@
-"""The picture as the search wants it: one grey value a pixel, marks bright, ground level."""
+"""The picture as the search wants it, and the centre of a mark in it."""
 
 from dataclasses import dataclass
 from typing import Any

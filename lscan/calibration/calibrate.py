@@ -1,4 +1,4 @@
-"""A calibration: a plane map together with the board reading it was solved from."""
+"""A plane map solved from a reading of the board: outliers left out, cross-validated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

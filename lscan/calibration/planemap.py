@@ -1,4 +1,4 @@
-"""What a plane map is, and how one is found by name.
+"""What a plane map is: found by name, evaluated with its uncertainty, kept as a record.
 
 A solver is registered under the entry-point group ``lscan.planemaps``.  A map's full name is
 the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is solved by
@@ -32,6 +32,8 @@ from lscan.config.plugins import find_plugin
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints, Status
+
+# What a plane map is, and how one is found by name.
 
 NOTHING_KNOWN = OpticsSection()
 

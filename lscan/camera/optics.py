@@ -1,4 +1,4 @@
-"""What decides where a camera sees a point: pinhole, lens distortion, flat port."""
+"""A camera behind a flat port: pinhole, lens, port and water, and rays through them, both ways."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,6 +9,8 @@ from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Floats
 from lscan.water import ATMOSPHERE_MPA, SALINITY_PSU, TEMPERATURE_C, refractive_index
+
+# What decides where a camera sees a point: pinhole, lens distortion, flat port.
 
 
 @dataclass(frozen=True)

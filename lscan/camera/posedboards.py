@@ -1,4 +1,4 @@
-"""The parameters of a camera behind a port: their order, limits, and what is known beforehand."""
+"""A camera and the boards before it as one vector of parameters, with limits and derivatives."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,6 +24,8 @@ from lscan.camera.optics import (
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask
+
+# The parameters of a camera behind a port: their order, limits, and what is known beforehand.
 
 LENS = ("focal_px", "centre_u_px", "centre_v_px", "k1", "k2", "p1", "p2", "k3")
 PORT = ("gap_mm", "thickness_mm", "glass_index", "water_index", "tilt_x_deg", "tilt_y_deg")

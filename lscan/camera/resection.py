@@ -1,4 +1,4 @@
-"""The covariance of fitted parameters, and the modes of error that it gives to a map."""
+"""Camera, port and poses of boards from marks in pictures: the start, the fit, its covariance."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,6 +23,8 @@ from lscan.camera.posedboards import (
     towards,
 )
 from lscan.records import Floats, Ints, Mask, select
+
+# The covariance of fitted parameters, and the modes of error that it gives to a map.
 
 KEPT = 0.9999  # of the variance that the stored modes must account for
 MODE_STEP = 0.01  # sigmas, for differences along a mode: rounding is 1e-9, curvature less

@@ -1,4 +1,4 @@
-"""Documents in TOML: read, their includes merged, checked against strict models.
+"""Documents in TOML: read, includes merged, checked against strict models; written.
 
 A document may name others to start from: ``include = "rig.toml"`` (or a list); a name such
 as "paper/rig" is that of a scene that comes with lscan.  Tables are merged key by key and the

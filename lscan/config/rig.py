@@ -1,4 +1,4 @@
-"""The sections of a rig file: camera, track, scan plan, board, how the pictures are read."""
+"""The rig file: its sections, read and checked, and the drivers and methods that it names."""
 
 from dataclasses import dataclass
 from math import cos, degrees, hypot, pi, radians
@@ -13,6 +13,8 @@ from lscan.config.documents import Document, Strict, check, merge, read_document
 from lscan.config.plugins import find_plugin, find_plugin_or_function
 from lscan.config.targets import Workpiece
 from lscan.errors import InputError
+
+# The sections of a rig file: camera, track, scan plan, board, how the pictures are read.
 
 Channel = Literal["red", "green", "blue", "grey"]
 Excess = Literal["red-excess", "green-excess", "blue-excess", "cyan-excess", "magenta-excess"]

@@ -1,4 +1,4 @@
-"""Nominal shapes of the paper's test pieces.
+"""Nominal shapes of the paper's test pieces, and SHAPES.toml: what to measure of others.
 
 Each piece has its own workpiece frame, in mm, z up; a scene places it in the tank.
 """
@@ -11,6 +11,8 @@ from pydantic import AfterValidator, Field, PositiveFloat, model_validator
 
 from lscan.config.documents import Strict, check, read_document
 from lscan.records import Floats
+
+# Nominal shapes of the paper's test pieces.
 
 
 class Groove(Strict):

@@ -1,4 +1,4 @@
-"""Trying out a rig's camera: what it made of its settings, timing, noise, linearity."""
+"""A rig's camera and track tried out: settings, timing, linearity, delay, how moves repeat."""
 
 import math
 import statistics

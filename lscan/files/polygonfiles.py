@@ -1,4 +1,4 @@
-"""Faces of any number of corners, and the triangles that cover the same area."""
+"""PLY, OBJ and OFF files: faces of any number of corners, and triangles of the same area."""
 
 import re
 import struct
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask
+
+# Faces of any number of corners, and the triangles that cover the same area.
 
 FAN_STARTS = 4
 """Corners that a face is fanned from on trial: one of two serves for any quadrangle."""

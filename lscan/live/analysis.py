@@ -1,4 +1,4 @@
-"""What is measured of one picture for the live page."""
+"""What is measured of one picture for the live page, and how it goes over the wire."""
 
 import json
 import struct

@@ -1,4 +1,4 @@
-"""Start, pause, resume and stop of a scan, which runs in a thread of its own."""
+"""What the live page begins: a scan in a thread of its own, and the picture of the board."""
 
 import re
 import shutil
@@ -25,6 +25,8 @@ from lscan.errors import DeviceError, InputError, LscanError
 from lscan.files.disk import read_bytes
 from lscan.live.devices import LiveDevices, NotNow, one_line
 from lscan.pipeline import require_board
+
+# Start, pause, resume and stop of a scan, which runs in a thread of its own.
 
 State = Literal["idle", "scanning", "paused", "stopping", "done", "failed"]
 SOON = "after this frame, or once a camera or track that hangs is given up"

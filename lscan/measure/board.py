@@ -1,4 +1,4 @@
-"""A measured length with the parts of its uncertainty, and the mean of it over pictures."""
+"""Features of the board measured through a plane map: distances (Table I), circles (Table II)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,6 +19,8 @@ from lscan.records import (
     Status,
     has_value,
 )
+
+# A measured length with the parts of its uncertainty, and the mean of it over pictures.
 
 OUTLIER = 5.0
 """Values farther from the median than this many of their own standard uncertainties, and of the

@@ -1,4 +1,4 @@
-"""Straight segments of a profile: runs of neighbouring points on one level."""
+"""The grooved block from its profile (Table III): segments, their ends, its dimensions; slices."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +13,8 @@ from lscan.measure.board import LengthBudget, mean_length
 from lscan.records import Floats, Ints, Length, Mask, Profile, Surface, has_value
 from lscan.stripe.blurredstep import NO_END, StepLimits, StepSamples, fit_steps
 from lscan.surface import Slice
+
+# Straight segments of a profile: runs of neighbouring points on one level.
 
 JUMP_MM = 3.0
 """Height difference between neighbouring points that ends a segment: above what noise and a

@@ -1,4 +1,4 @@
-"""Signed distances of points from a triangle mesh.
+"""A surface against a mesh: signed distances, their summary, histogram and coloured points.
 
 The nearest place on the mesh is found exactly: its triangles, the largest cut into pieces, have
 their centroids in a tree.  A point's nearest pieces name the triangles to look at, and so many
@@ -33,6 +33,8 @@ from lscan.files.disk import write_atomically
 from lscan.files.meshes import merged
 from lscan.measure.shapes import ShapeTerms, fit_shape, measured_points
 from lscan.records import Floats, Ints, Mask, Surface
+
+# Signed distances of points from a triangle mesh.
 
 MOST_PIECES = 50_000
 """Of a mesh of fewer triangles; memory for some MB.  Of one of more, a quarter more than those."""

@@ -1,4 +1,4 @@
-"""Planes, spheres and cylinders in space, as shapes to fit, and where their fits start."""
+"""Planes, spheres and cylinders fitted to a surface, and what a shapes file asks for."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace

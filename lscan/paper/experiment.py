@@ -1,4 +1,4 @@
-"""The records of the paper's whole experiment (Sec. IV), and what its board picture gives."""
+"""The paper's whole experiment (Sec. IV): its records, its evaluations, its pictures' origin."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -24,6 +24,8 @@ from lscan.pipeline import (
 )
 from lscan.records import BoardReading, Bytes, Progress, Stripe
 from lscan.stripe import extract_stripe
+
+# The records of the paper's whole experiment (Sec. IV), and what its board picture gives.
 
 METHODS = (
     "graticule-1",

@@ -1,4 +1,4 @@
-"""Figures of the calibration: board picture, control points, line fits, ruler conversion."""
+"""Figures of pictures: the board, its control points and fits, and the laser line."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

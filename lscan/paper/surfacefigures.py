@@ -1,4 +1,4 @@
-"""Figures of the surface in relief: as scanned, and after reorientation (Figs. 25 and 26)."""
+"""Figures of the surface: in relief, from above, in slices, and to turn (Figs. 25 to 32)."""
 
 import json
 from collections.abc import Mapping
@@ -19,6 +19,8 @@ from lscan.paper.published import YAW_DEG
 from lscan.pipeline import SandwaveMeasures
 from lscan.records import Floats, Mask, Status
 from lscan.surface import Alignment, Slice, levelling_step
+
+# Figures of the surface in relief: as scanned, and after reorientation (Figs. 25 and 26).
 
 _LINES = 90  # profiles drawn of a relief
 _COLUMNS = 320  # points drawn of a profile, at most

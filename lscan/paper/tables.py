@@ -1,4 +1,4 @@
-"""The paper's Tables I to III and its slices, with our numbers beside the printed ones."""
+"""The paper's Tables I to III and its slices beside ours, and which kept their bars."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +24,8 @@ from lscan.paper.published import (
 )
 from lscan.pipeline import BoardMeasures
 from lscan.records import Length
+
+# The paper's Tables I to III and its slices, with our numbers beside the printed ones.
 
 Lengths = Mapping[str, Length]
 """By feature, such as "A1A2"."""

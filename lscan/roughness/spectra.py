@@ -1,4 +1,4 @@
-"""Spectra to look at: by multitaper of a patch and of its profiles, by Capon of short stretches.
+"""Spectra of a patch and of its profiles, the laws that model them, and moments.
 
 These show; what is fitted is the periodogram itself (whittle.py).  Where there are holes a taper
 is laid over what was measured, so that none invents power, but it leaks more.
@@ -14,6 +14,8 @@ from scipy.special import chdtri
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats, Ints, Mask
 from lscan.roughness.patch import FEWEST, Patch, wavenumbers
+
+# Spectra to look at: by multitaper of a patch and of its profiles, by Capon of short stretches.
 
 TAPERS = 3
 """Along either side: nine in two dimensions, whose values scatter by a third."""

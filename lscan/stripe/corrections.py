@@ -1,4 +1,4 @@
-"""Correcting for what the camera's blur does to a line that is curved or unevenly bright.
+"""Corrections of an extracted stripe: blur and smoothing.
 
 The lens spreads light along the line as well as across it, so that a column of the picture
 holds light of its neighbours.  Light found in column u comes from a column u0 that is spread
@@ -28,6 +28,8 @@ from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, GreyValues, Ints, Mask, Stripe, has_value
 from lscan.stripe.peaks import medians, neighbours, pieces, windows
+
+# Correcting for what the camera's blur does to a line that is curved or unevenly bright.
 
 PIXEL_VARIANCE = 1 / 12
 """Variance in px² of the pixel's own width, which spreads light as the lens does."""

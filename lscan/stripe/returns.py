@@ -1,4 +1,4 @@
-"""The laser's line among the texture of a lit target: chessboards, print, glare.
+"""Which line is meant where a column holds several, and among the texture of a lit target.
 
 In the dark, what stands out of a column is the line or a reflection of it, and returns.py
 chooses by light.  On a lit target white squares have more light than the line.  There a line is
@@ -31,6 +31,8 @@ from lscan.stripe.peaks import (
     spots_near,
     spots_of,
 )
+
+# The laser's line among the texture of a lit target: chessboards, print, glare.
 
 _WIDE = 3.0
 """Times the line's width from which a spot is none of it.  A line as steep as JUMP_PX, beyond which

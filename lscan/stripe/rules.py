@@ -1,4 +1,4 @@
-"""Extractors that put the centre where a rule says: what they share, and their uncertainty.
+"""Extractors that put the centre where a rule says, the paper's among them.
 
 A rule is judged by what it would do to the line that was there: a Gaussian of the
 neighbours' width at the place found, averaged over each pixel.  On that line it errs by a
@@ -21,6 +21,8 @@ from lscan.stripe.fit import LineWindows, lines, parameters_of
 from lscan.stripe.likelihood import Survey, survey
 from lscan.stripe.peaks import centred, in_one, nominal_peaks, parted, windows_beside
 from lscan.stripe.picture import Noise, line_noise
+
+# Extractors that put the centre where a rule says: what they share, and their uncertainty.
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Straight edges located between the last sample on them and the first one off them.
+"""Straight edges of a target in a scan: between samples, and by how the line's light fades.
 
 A sample says only that the edge lies beyond it, and the next one that it lies before that,
 so an edge is known per profile to within one column.  Fitting the midpoints by least squares
@@ -20,6 +20,8 @@ from scipy.special import expit
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Ints, Mask
 from lscan.stripe.blurredstep import StepLimits, StepSamples, fit_steps
+
+# Straight edges located between the last sample on them and the first one off them.
 
 SOFTNESS = 0.07
 """Scale of the logistic in units of the gap between two samples.  Small against 1, so that

@@ -1,4 +1,4 @@
-"""The landmarks of the sandwave block in a raw scan: wedge tops, wedge edges, block sides.
+"""The sandwave block in a raw scan: wedges, edges, faces, and its nominal top.
 
 Everything is found by elevation and place, from the nominal shape alone; no option is set by
 hand.  The block is what stands above the abrupt drop to the floor.  A plane fitted robustly to
@@ -17,6 +17,8 @@ from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Ints, Mask, Status, Surface, has_value
 from lscan.surface.edges import REACH_MM, EdgeCrossings, FaceSamples
+
+# The landmarks of the sandwave block in a raw scan: wedge tops, wedge edges, block sides.
 
 
 @dataclass(frozen=True)

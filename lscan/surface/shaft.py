@@ -1,4 +1,4 @@
-"""Profiles turned about a shaft, the paper's other way to move the head (its Sec. I).
+"""A head on a shaft (the paper's Sec. I): profiles turned about it, and where the shaft is.
 
 The head turns rigidly about a line.  A point X of the head's frame at position s lies, in the
 frame of the head at position 0, at
@@ -26,6 +26,8 @@ from lscan.surface.align import rough_pose
 from lscan.surface.alignment import own_variances, turned_modes
 from lscan.surface.features import above_top, find_features
 from lscan.surface.surface import stack
+
+# Profiles turned about a shaft, the paper's other way to move the head (its Sec. I).
 
 PARAMETERS = 5
 """Offsets along the shaft's two axes (mm), tilts towards them (rad), scale of the angle."""

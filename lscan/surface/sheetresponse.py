@@ -1,4 +1,4 @@
-"""What a sheet of finite thickness makes of a target's relief: the height that its line shows.
+"""What a sheet of finite thickness makes of relief: of curves, of waves, of a spectrum.
 
 Light that falls a little before or behind the sheet's middle plane meets the target at
 another height, and the camera, which looks at the sheet askew, sees it displaced even where
@@ -30,6 +30,8 @@ from scipy.special import jv
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Ints, Surface, has_value
 from lscan.surface.alignment import shear
+
+# What a sheet of finite thickness makes of a target's relief: the height that its line shows.
 
 OFFSETS = np.arange(-4.25, 4.3, 0.25)
 """Distances from the middle plane, in sigmas, at which the light is taken: of y² g, by which the

@@ -1,4 +1,4 @@
-"""From the stripe in a picture to the profile in the laser sheet."""
+"""Profiles, the surface they are stacked to, and slices of it."""
 
 import hashlib
 import json
@@ -30,6 +30,8 @@ from lscan.records import (
     has_value,
     select,
 )
+
+# From the stripe in a picture to the profile in the laser sheet.
 
 
 def to_profile(stripe: Stripe, plane_map: PlaneMap, position_mm: float) -> Profile:

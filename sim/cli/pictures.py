@@ -1,4 +1,4 @@
-"""``lscan-sim render``, ``truth`` and ``views``: pictures, and the truth of them."""
+"""``lscan-sim demo``, ``render``, ``truth`` and ``views``: pictures, and the truth of them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from sim.cli.arguments import OutputFolder, PaperFolder, Quick, SceneFile, print
 
 if TYPE_CHECKING:
     from lscan.paper.experiment import Experiment
+
+# ``lscan-sim render``, ``truth`` and ``views``: pictures, and the truth of them.
 
 
 def render(

@@ -1,4 +1,4 @@
-"""One scene rendered as a case: a picture with its truth."""
+"""Scenes rendered as the cases of a suite: lines, boards and whole scans with their truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

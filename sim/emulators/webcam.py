@@ -1,4 +1,4 @@
-"""The emulated camera: it goes on taking pictures from where the head stands."""
+"""The emulated webcam: pictures from where the head stands, served over HTTP."""
 
 import contextlib
 import socket

@@ -1,4 +1,4 @@
-"""``[board_errors]``: how the true board differs from the nominal one that the instrument knows."""
+"""``[board_errors]``, ``[track_errors]``: how board and head truly differ from the nominal."""
 
 from dataclasses import dataclass
 from math import pi, radians, sin
@@ -13,6 +13,8 @@ from lscan.config.rig import Plan
 from lscan.records import Floats
 from sim.scene.instrument import Seed
 from sim.scene.varying import unit_normal
+
+# ``[board_errors]``: how the true board differs from the nominal one that the instrument knows.
 
 PPM = 1e-6
 FACET_MM = 5e-4  # by which facets lie off a bend along either axis: 1 µm where both are bent

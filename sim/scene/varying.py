@@ -1,4 +1,4 @@
-"""``[[change]]``: a number of the scene that is new in every picture."""
+"""Numbers of a scene by their keys: replaced, and new in every picture (``[[change]]``)."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -18,7 +18,6 @@ from sim.scene.instrument import Seed
 
 if TYPE_CHECKING:
     from sim.scene.file import Scene
-
 
 # A scene's numbers by their dotted keys, such as ``head.camera_mm.1``: read, and replaced.
 

@@ -1,4 +1,4 @@
-"""Noise of the EMVA 1288 linear model: shot and dark noise, and the pixels' fixed patterns."""
+"""From electrons to the bytes of a picture: noise, colour filter, full well, gain and coding."""
 
 from dataclasses import dataclass
 

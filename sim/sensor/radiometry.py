@@ -1,4 +1,4 @@
-"""How many photons a pixel collects of the radiance before the lens."""
+"""How many photons a pixel collects, and the speckle of the laser's light."""
 
 from functools import lru_cache
 from math import ceil, sqrt
@@ -11,6 +11,8 @@ from scipy.special import j1, roots_legendre
 
 from lscan.records import Floats
 from sim.scene import Lens, Sensor
+
+# How many photons a pixel collects of the radiance before the lens.
 
 PLANCK_J_S = 6.62607015e-34  # exact, SI 2019
 LIGHT_M_S = 299792458.0  # exact, SI 2019

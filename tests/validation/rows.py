@@ -1,4 +1,4 @@
-"""The rows of every figures file: a figure beside its bar, and what it was held against."""
+"""Rows, a figure beside its bar each, and the topics and requests that they are measured for."""
 
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,6 +10,8 @@ from typing import Any
 from lscan.errors import LscanError
 from lscan.figures.page import ReportFigure
 from lscan.files.disk import make_folder, packaged_table, write_json
+
+# The rows of every figures file: a figure beside its bar, and what it was held against.
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What one picture of the board gives to the multi-view calibration."""
+"""Views of a board: VIEWS.toml, what each picture gives, and pictures of what was seen."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,6 +20,8 @@ from lscan.files.disk import make_folder
 from lscan.files.pictures import read_picture, write_picture
 from lscan.records import Axis, Bytes, Floats, Marks, Progress, Stripe, has_value
 from lscan.stripe import extract_stripe
+
+# What one picture of the board gives to the multi-view calibration.
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What Grbl 1.1 says, line by line, as records.
+"""Talking with Grbl 1.1: what it says as records, and lines with their answers.
 
 Source: Grbl 1.1 interface documentation, "Response Messages", "Push Messages" and
 "Real-time StatusReport Reports".  The line carries no checksum, so a line that does not fit the
@@ -13,6 +13,8 @@ from typing import Final, Literal
 from lscan.devices.grbl.machine import Exchange, Unanswered, asked
 from lscan.errors import DeviceError
 from lscan.files.disk import packaged_table
+
+# What Grbl 1.1 says, line by line, as records.
 
 STATES: Final = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep")
 AXES: Final = "XYZ"

@@ -1,4 +1,4 @@
-"""``[track.options]`` of the serial track, checked before any device is touched."""
+"""A controller on a serial line, whatever its language: options, lines, what all can do."""
 
 import contextlib
 import math
@@ -12,6 +12,8 @@ from pydantic import Field
 
 from lscan.devices.api import TravelOptions
 from lscan.errors import DeviceError
+
+# ``[track.options]`` of the serial track, checked before any device is touched.
 
 Place = Annotated[float, Field(ge=-100_000, le=100_000)]
 ROUNDING_MM: Final = 0.0005

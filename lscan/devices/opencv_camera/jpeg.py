@@ -1,4 +1,4 @@
-"""One JPEG picture as a camera sends it: where it ends, and whether it came whole.
+"""JPEG pictures as a camera sends them: one, checked to be whole, and a stream of them.
 
 The format has no checksum.  A bit that turned within a coefficient is seen by nobody; what made the
 decoder lose its place mostly leaves it with data too few or too many at the end, which is looked
@@ -25,6 +25,8 @@ from lscan.devices.opencv_camera.options import Capture, ended_early
 from lscan.errors import DeviceError
 from lscan.files.pictures import MOST_PX, decode, read_header, too_large
 from lscan.records import Bytes
+
+# One JPEG picture as a camera sends it: where it ends, and whether it came whole.
 
 BEGIN, END = b"\xff\xd8", b"\xff\xd9"  # SOI and EOI, table B.1
 PADDING = b"\0\r\n\t \xff"

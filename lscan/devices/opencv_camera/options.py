@@ -1,4 +1,4 @@
-"""What ``[camera.options]`` of a rig file may say to the opencv driver, and what a capture is."""
+"""``[camera.options]`` of the opencv driver: what it may say, set on a camera and read back."""
 
 import math
 import time
@@ -17,6 +17,8 @@ from pydantic import Field, model_validator
 from lscan.config.documents import Strict
 from lscan.config.rig import CameraSection
 from lscan.records import Bytes
+
+# What ``[camera.options]`` of a rig file may say to the opencv driver, and what a capture is.
 
 _OF_A_DEVICE = ("pixel_format", "fps", "gain", "focus", "white_balance", "auto_exposure")
 

@@ -1,4 +1,4 @@
-"""How a capture is opened for a device, a stream or a video file."""
+"""A camera opened, and read in a thread of its own, so that no call can hang the scan."""
 
 import itertools
 import logging
@@ -23,6 +23,8 @@ from lscan.devices.opencv_camera.options import (
 )
 from lscan.errors import DeviceError
 from lscan.records import Bytes
+
+# How a capture is opened for a device, a stream or a video file.
 
 _log = logging.getLogger(__name__)
 

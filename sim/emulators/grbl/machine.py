@@ -1,4 +1,4 @@
-"""What the emulated controllers have in common: a machine of three axes, and bytes in and out."""
+"""What the emulated controllers have in common: axes, bytes in and out, and the serial line."""
 
 import contextlib
 import os
@@ -16,6 +16,8 @@ import numpy as np
 
 from sim.emulators.grbl.motion import Axes, Place
 from sim.emulators.grbl.protocol import DEFAULTS, GcodeBlock, Modes
+
+# What the emulated controllers have in common: a machine of three axes, and bytes in and out.
 
 
 class EmulatedController(ABC):

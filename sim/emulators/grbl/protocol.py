@@ -1,4 +1,4 @@
-"""Blocks of G-code, read and checked as Grbl 1.1 does, with its error codes."""
+"""G-code and Grbl's settings: blocks read and checked with its error codes, and modes."""
 
 import math
 import re
@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 from sim.emulators.grbl.motion import Place
+
+# Blocks of G-code, read and checked as Grbl 1.1 does, with its error codes.
 
 LONGEST = 80  # Grbl's LINE_BUFFER_SIZE; a longer line is error 11
 

@@ -1,4 +1,4 @@
-"""The lit line of a sheet: short straight segments of surfaces that the sheet lights.
+"""The lit line of a sheet, what surfaces receive from it, and the sheet's glow in water.
 
 Rays of the sheet are traced far closer than segments lie.  The line is cut wherever the surface
 ends, begins or is creased; between cuts segments are short where the surface is bent.
@@ -25,6 +25,8 @@ from sim.render.sampled.beams import straight_rays
 from sim.scene import Laser, LaserLine
 from sim.water.planes import LogAxis
 from sim.water.spread import Spread
+
+# The lit line of a sheet: short straight segments of surfaces that the sheet lights.
 
 RAYS = 2048
 SCATTERED = 16  # rays that share what the water scatters beside them

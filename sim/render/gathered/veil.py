@@ -1,4 +1,4 @@
-"""The veil of second and higher orders: laser light that met no surface, turned more than once.
+"""The veil of higher orders, and how much of it and of the halo the tank's surfaces leave.
 
 Camera and laser stand still against each other, so what a ray of the camera sees of it depends on
 where surfaces end the water alone.  A surface is taken for a plane through the place where the ray

@@ -1,4 +1,4 @@
-"""The water's phase function in tables: its value, and angles drawn from it two ways.
+"""The water's phase function and the spread of beams in tables for kernels.
 
 Scattering that happens somewhere along a line, of light that comes from (or goes to) one
 point, has the angle psi between the line and that point's direction as its natural
@@ -26,6 +26,8 @@ from sim.water.planes import (
     horizon_depths,
 )
 from sim.water.spread import FARTHEST_RAD, Spread
+
+# The water's phase function in tables: its value, and angles drawn from it two ways.
 
 # Cells, evenly spaced in log(1 + psi / FINEST): fine where an oceanic forward peak is, which
 # rises down to the least angles.  A cell is 0.4 % of its angle wide, so that the logarithm of

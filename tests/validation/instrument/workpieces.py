@@ -1,4 +1,4 @@
-"""The grooved block: Table III, once for each seed."""
+"""The grooved block (Table III) and the sandwave: dimensions, slices and grids."""
 
 from collections.abc import Sequence
 
@@ -13,6 +13,8 @@ from lscan.surface import grid_cells, resample
 from sim.scene import Scene
 from sim.truth import slice_visibility
 from tests.validation.exposures import ScanReading, read_scan
+
+# The grooved block: Table III, once for each seed.
 
 
 def dimensions(

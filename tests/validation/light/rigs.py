@@ -1,4 +1,4 @@
-"""Scenes for the checks, built here: the evidence rests on no file that a user may edit."""
+"""Scenes for the checks, built here: they rest on no file that a user may edit."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace

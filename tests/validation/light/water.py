@@ -1,4 +1,4 @@
-"""Refractive indices, absorption and molecular scattering against published tables.
+"""Indices, absorption, scattering and the spread of beams against published values.
 
 The tables are check values, not the constants of sim.water: index tables computed by others
 from the same articles, and an independent package where one is installed.
@@ -32,6 +32,8 @@ from sim.water.optics import absorption_per_m, molecular_scattering_per_m
 from sim.water.spread import Spread, ring_edges, solid_angles
 from tests.validation.light.rigs import page_figure, reference, topic
 from tests.validation.rows import Row, Topic, row
+
+# Refractive indices, absorption and molecular scattering against published tables.
 
 NM = 650.0
 GLASS_NM = (640.0, 650.0, 660.0)

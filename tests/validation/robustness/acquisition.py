@@ -1,4 +1,4 @@
-"""A scan killed at random moments and resumed: the same bytes as the scan that was not killed.
+"""A scan killed and resumed, and one by drivers of real devices beside the tank's own.
 
 Each scan is the command ``lscan scan`` in a process of its own, on the simulated drivers.
 """
@@ -37,6 +37,8 @@ from sim.scene import scene_of
 from sim.sensor.noise import from_jpeg, jpeg_bytes
 from tests.validation.robustness.effort import HardwareEffort
 from tests.validation.rows import Row, row
+
+# A scan killed at random moments and resumed: the same bytes as the scan that was not killed.
 
 SEED: Final = 5020
 KILLS_A_RUN: Final = 4

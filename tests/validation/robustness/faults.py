@@ -1,4 +1,4 @@
-"""Which faults there are, at which moments they occur, and how one is drawn."""
+"""Which faults there are, when they occur, and a bench of real drivers to inject them into."""
 
 import math
 import time
@@ -26,6 +26,8 @@ from tests.validation.robustness.faulty import (
     FaultyDisk,
     FaultyTrack,
 )
+
+# Which faults there are, at which moments they occur, and how one is drawn.
 
 RIG: Final = packaged_table("tests.validation.robustness", "bench.toml")
 FRAMES: Final[int] = RIG["plan"]["frames"]

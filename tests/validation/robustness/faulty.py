@@ -1,4 +1,4 @@
-"""A webcam behind OpenCV's interface that fails on command, and marks what it saw when."""
+"""Webcam, track and disk that fail on command, behind the interfaces of real ones."""
 
 import errno
 import math

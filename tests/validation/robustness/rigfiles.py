@@ -1,4 +1,4 @@
-"""Rig files that are right: every field stated in one of them, every pair of drivers in one.
+"""Rig files that are right, and the same with one thing wrong.
 
 They name files beside them, which :func:`write_beside` makes: a recorded run, a video, a mesh
 and a picture.
@@ -32,6 +32,8 @@ from lscan.files.disk import packaged_table
 from lscan.records import Frame
 from sim.devices import CameraOptions, TrackOptions
 from sim.scene.file import TankSections
+
+# Rig files that are right: every field stated in one of them, every pair of drivers in one.
 
 SIZE_PX = (16, 16)
 CAMERAS: dict[str, type[Strict]] = {

@@ -1,4 +1,4 @@
-"""Boards drawn from closed forms: where each mark is seen is known exactly.
+"""Boards drawn from closed forms, and rigs drawn from what is known of one.
 
 The lens is defined from the picture to the ray, by a polynomial in the picture's radius, so the
 place on the board that a pixel sees is a closed form; only the truth, the other way round, needs an
@@ -26,6 +26,8 @@ from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Bytes, Floats, Marks, RulerReading
 from sim.scene import Pose, Scene, camera_pose, head_pose, target_pose
 from sim.truth import project, sheet_of
+
+# Boards drawn from closed forms: where each mark is seen is known exactly.
 
 NEWTON_STEPS = 30
 

@@ -1,4 +1,4 @@
-"""Relief as fine as the sheet is thick: how much of its height is measured, and what is stated.
+"""Relief as fine as the sheet is thick, and stated beside observed sigmas of the line.
 
 Ripples with sharp crests and a rough bed are scanned once in the tank without noise, each line
 taken as the centroid of all its light; noise of the heights is then drawn, many times.
@@ -30,6 +30,8 @@ from sim.studies.concavity import ShortScan, mesh_scene, sheet_of, short_scan
 from tests.validation.exposures import share_inside
 from tests.validation.rows import Row, row
 from tests.validation.surfaces.drawn import FieldEffort
+
+# Relief as fine as the sheet is thick: how much of its height is measured, and what is stated.
 
 NOISE_MM = 0.04
 """Of a height: half of what the best extractor leaves of the sandwave with speckle."""
