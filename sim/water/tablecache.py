@@ -19,6 +19,7 @@ from lscan.records import Floats
 # Of a kept file: 64 for each triangle of a mesh in the tank, whose files hold up to 1.4e7 of them.
 LARGEST_BYTES = 2**30
 DIGEST_BYTES = 32
+MOST_BYTES = 2 * 2**30  # of all tables together: those of a budget in rendered physics take 1.8 GB
 ASKED_S = 0.1  # between questions for a lock
 
 _log = logging.getLogger(__name__)
@@ -28,8 +29,9 @@ def kept_arrays(name: str, make: Callable[[], dict[str, Floats]]) -> dict[str, F
     """The arrays that ``make`` returns, or returned before under the same name.
 
     Processes that ask for the same name at once wait for the first of them.  A file that is
-    broken, or another user's, is replaced.  Where the cache cannot be written, the log says so and
-    the arrays are returned all the same.
+    broken, or another user's, is replaced.  Where all tables together take more than
+    ``MOST_BYTES``, those that were used longest ago are removed.  Where the cache cannot be
+    written, the log says so and the arrays are returned all the same.
 
     Parameters
     ----------
@@ -58,7 +60,32 @@ def _make_and_keep(file: Path, make: Callable[[], dict[str, Floats]]) -> dict[st
         write_atomically(file, hashlib.sha256(data).digest() + data)
     except InputError as error:
         _log.warning("a table will have to be made again: %s", error)
+    remove_oldest(file.parent)
     return arrays
+
+
+def remove_oldest(folder: Path) -> None:
+    """Remove the tables that were used longest ago, until the others are within ``MOST_BYTES``.
+
+    What other commands keep there is left alone: a table is what has a lock beside it.
+
+    Parameters
+    ----------
+    folder : Path, of the tables
+    """
+    found = []
+    for lock in folder.glob("*.lock"):
+        with suppress(OSError):  # not made yet, or removed by another process
+            status = lock.with_suffix("").stat()
+            found.append((status.st_mtime_ns, status.st_size, lock))
+    total = sum(size for _, size, _ in found)
+    for _, size, lock in sorted(found):
+        if total <= MOST_BYTES:
+            return
+        with suppress(OSError):
+            lock.with_suffix("").unlink()
+            lock.unlink()
+        total -= size
 
 
 def _read(file: Path) -> dict[str, Floats] | None:
@@ -67,6 +94,8 @@ def _read(file: Path) -> dict[str, Floats] | None:
     digest, packed = data[:DIGEST_BYTES], data[DIGEST_BYTES:]
     if hashlib.sha256(packed).digest() != digest:
         return None
+    with suppress(OSError):
+        os.utime(file)  # the time of its last use, by which tables are removed
     with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
         return dict(arrays)
 

@@ -66,6 +66,23 @@ def test_tables_of_a_mesh_of_a_million_triangles_are_kept(folder: Path) -> None:
     assert make.calls == 1
 
 
+def test_the_tables_used_longest_ago_are_removed(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three of equal size where there is room for two: the one that was read last stays."""
+    make = Maker()
+    for when, name in enumerate(("one", "two")):
+        kept_arrays(name, make)
+        os.utime(folder / name, (1000 + when, 1000 + when))
+    (folder / "llvm.json").write_text("{}")
+    monkeypatch.setattr(tablecache, "MOST_BYTES", 2 * (folder / "one").stat().st_size)
+    kept_arrays("one", make)  # is used again
+    kept_arrays("three", make)
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"one", "one.lock", "three", "three.lock", "llvm.json"}
+    assert make.calls == 3
+
+
 @pytest.mark.parametrize("cut", [0, 10, 200, -1])
 def test_a_broken_file_is_made_anew(folder: Path, cut: int) -> None:
     make = Maker()
