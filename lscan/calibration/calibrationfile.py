@@ -599,7 +599,7 @@ def load_any(path: Path | str) -> AnyCalibration:
     if kind == CAMERA_FORMAT:
         allowed = f"lscan calibrate-metric VIEWS.toml --camera {path.name} -o FILE"
         raise InputError("holds a camera alone, no laser sheet", where=path, allowed=allowed)
-    if kind == FORMAT:
+    if kind == METRIC_FORMAT:
         return metric_of(document, path)
     return calibration_of(document, path)
 
