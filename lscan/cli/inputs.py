@@ -1,7 +1,4 @@
-"""What the arguments of the command line name, opened: runs, boards, calibrations, seeds.
-
-Commands import it when they run: what it imports is heavy, and ``lscan --help`` stays quick.
-"""
+"""What the arguments of the command line name, opened: runs, boards, calibrations, seeds."""
 
 import os
 from collections.abc import Sequence
@@ -37,37 +34,36 @@ def open_calibrated(
     shaft: TOML file whose [shaft] takes the place of the run's own.  trusted: as ``open_run``.
     """
     opened = open_run(run, trusted)
-    if shaft is not None:
-        opened = _about(opened, shaft)
-    plane_map, size = load_plane_map(calibration)
     rig = opened.rig_file.rig
+    if shaft is not None:
+        if rig.shaft is None:
+            raise InputError("was made on a linear track, without [shaft]", where=opened.path)
+        rig = rig.model_copy(update={"shaft": load_shaft(shaft)})
+        opened = replace(opened, rig_file=replace(opened.rig_file, rig=rig))
+    plane_map, size = load_plane_map(calibration)
     require_size(rig.camera, size, calibration, opened.path)
     if len(opened) < rig.plan.frames:
         note(f"{run} holds {len(opened)} of {rig.plan.frames} frames")
     return opened, plane_map
 
 
-def _about(run: Run, shaft: Path) -> Run:
-    """The run with the [shaft] of a file; InputError where it was not made about a shaft."""
-    rig_file = run.rig_file
-    if rig_file.rig.shaft is None:
-        raise InputError("was made on a linear track, without [shaft]", where=run.path)
-    rig = rig_file.rig.model_copy(update={"shaft": load_shaft(shaft)})
-    return replace(run, rig_file=replace(rig_file, rig=rig))
+def parse_numbers(text: str, count: int) -> list[float] | None:
+    """The finite numbers of "1,2,3"; None where they are not that many."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        return None
+    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
 
 
 def parse_seeds(text: str | None) -> Floats | None:
     """(3, 2) px of "u1,v1,u2,v2,u3,v3", None for None; InputError where it is neither."""
     if text is None:
         return None
-    try:
-        numbers = [float(part) for part in text.replace(";", ",").split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise InputError(
-            "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
-        )
+    numbers = parse_numbers(text.replace(";", ","), 6)
+    if numbers is None:
+        allowed = "u1,v1,u2,v2,u3,v3 in px"
+        raise InputError("not three points", where="--seeds", value=text, allowed=allowed)
     return np.array(numbers).reshape(3, 2)
 
 

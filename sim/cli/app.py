@@ -1,35 +1,37 @@
 """The command line ``lscan-sim``: thin faces over public functions, one module a topic."""
 
 from lscan.cli.console import before_any_command, command_line, run_program
-from sim.cli.dataset import dataset, suite
-from sim.cli.figures import (
-    accuracy,
-    bench,
-    budgets,
-    field,
-    hardware,
-    regression,
-    roughness,
-    verify,
-)
-from sim.cli.pictures import demo, render, truth, views
-from sim.cli.serve import serve
-from sim.cli.study import concavity, study
+
+COMMANDS = {
+    "demo": "sim.cli.pictures:demo",
+    "render": "sim.cli.pictures:render",
+    "truth": "sim.cli.pictures:truth",
+    "views": "sim.cli.pictures:views",
+    "bench": "sim.cli.figures:bench",
+    "verify": "sim.cli.figures:verify",
+    "accuracy": "sim.cli.figures:accuracy",
+    "field": "sim.cli.figures:field",
+    "serve": "sim.cli.serve:serve",
+    "hardware": "sim.cli.figures:hardware",
+    "budgets": "sim.cli.figures:budgets",
+    "roughness": "sim.cli.figures:roughness",
+    "regression": "sim.cli.figures:regression",
+    "study": "sim.cli.study:study",
+    "concavity": "sim.cli.study:concavity",
+    "dataset": "sim.cli.dataset:dataset",
+}
+SUITE_COMMANDS = {"make": "sim.cli.dataset:make_suite"}
 
 app = command_line(
     "The tank in software: demo, render, truth, views, serve, verify, accuracy, field,"
-    " hardware, bench, budgets, roughness, regression, study, concavity, dataset, suite."
+    " hardware, bench, budgets, roughness, regression, study, concavity, dataset, suite.",
+    COMMANDS,
 )
 app.callback()(before_any_command)
-for command in (demo, render, truth, views, bench, verify, accuracy, field, serve, hardware):
-    app.command()(command)
-app.command()(budgets)
-app.command()(roughness)
-app.command()(regression)
-app.command()(study)
-app.command()(concavity)
-app.command()(dataset)
-app.add_typer(suite, name="suite")
+app.add_typer(
+    command_line("Suites of rendered pictures with their truth: make.", SUITE_COMMANDS),
+    name="suite",
+)
 
 
 def main() -> None:

@@ -11,10 +11,10 @@ from command_line import call
 
 from lscan.calibration.planemap import find_solver
 from lscan.cli import console
-from lscan.cli.console import EXTRACTORS, MAPS, note, print_table, progress_bar
+from lscan.cli.console import EXTRACTORS, MAPS, note, progress_bar, show, table
 from lscan.config.scenes import scene_about, scene_names, spec_names
 from lscan.records import Length
-from sim.cli.study import STUDIES
+from sim.cli.arguments import STUDIES
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -57,7 +57,7 @@ def test_no_suites_are_said(
 
 def test_a_table_shows_names_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [["[red]block[/red]", float("nan")], ["a[/]b", 1.0], ["\x1b[2Jclear\a", 2.0]]
-    print_table("[bold]shapes", ["name", "[mm]"], rows)
+    show(rows, table("[bold]shapes", ["name", "[mm]"], rows), json=False)
     text = capsys.readouterr().out
     for shown in ("[bold]shapes", "[mm]", "[red]block[/red]", "a[/]b", r"\x1b[2Jclear\x07", " – "):
         assert shown in text
