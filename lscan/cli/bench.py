@@ -15,54 +15,52 @@ from lscan.errors import InputError
 
 
 def bench(
-    named: list[str] | None = Argument(None, help="Extractors to judge beside lscan's own."),
+    named: list[str] | None = Argument(None, help="Extractors to judge as well as lscan's own."),
     output: Path = Option(
         Path("out/lscan-bench"), "--output", "-o", help="Folder for bench.json and pictures."
     ),
-    extractor: list[str] | None = Option(None, help=f"One more: {EXTRACTORS}"),
-    plane_map: list[str] | None = Option(None, "--map", help=f"One more plane map: {MAPS}."),
-    only: bool = Option(False, "--only", help="Those that are named, and no others."),
+    extractor: list[str] | None = Option(None, help=f"Another extractor: {EXTRACTORS}"),
+    plane_map: list[str] | None = Option(None, "--map", help=f"Another plane map: {MAPS}."),
+    only: bool = Option(False, "--only", help="Judge only those that are named."),
     quick: bool = Option(False, "--quick", help="Fewer lines and boards."),
-    seed: int = Option(1, min=0, help="Of all random numbers."),
-    suite: str | None = Option(None, help="A suite's name or path; drawn: drawn lines as a suite."),
+    seed: int = Option(1, min=0, help="Seed of all random numbers."),
+    suite: str | None = Option(None, help="Suite: its name or path, or drawn for drawn lines."),
     by: list[str] | None = Option(
-        None,
-        help="Axis of the suite's table, as `lscan suite show NAME` lists them; several cross.",
+        None, help="Axis of the table, from `lscan suite show NAME`; repeat to cross several."
     ),
     boards: bool = Option(
-        False, "--boards", help="Judge by the suite's boards: readers of control points, and --map."
+        False, "--boards", help="Judge board readers and plane maps by the suite's boards."
     ),
-    reader: list[str] | None = Option(None, help="One more reader of control points."),
-    chain: list[str] | None = Option(None, help="Judge a rig file's chain by the suite's scans."),
-    against: Path | None = Option(None, help="bench.json of a run on the same suite."),
+    reader: list[str] | None = Option(None, help="Another board reader to judge."),
+    chain: list[str] | None = Option(None, help="Rig file; judge its chain by the suite's scans."),
+    against: Path | None = Option(None, help="bench.json of an earlier run on the same suite."),
     json: Json = False,
 ) -> None:
-    """Judge extractors, readers of boards, plane maps and chains, one's own too, by the truth.
+    """Judge extractors, board readers, plane maps and chains, your own too, against the truth.
 
-    The exit code is 1 where one is out of the limits that every method must keep to, or with
-    --against where one is worse than it was.
+    The exit code is 1 if one exceeds the limits that are set for every method or, with --against,
+    if one is worse than it was.
     """
     if reader and not boards:
-        raise InputError("is for boards", where="--reader", allowed="--boards beside it")
+        raise InputError("needs --boards", where="--reader")
     more = [*(named or ()), *(extractor or ())]
     extractors = () if chain or boards else _each_once(only, drawn.registered_extractors(), more)
     maps = _each_once(only, drawn.MAPS, plane_map)
     if chain and (suite is None or quick or boards or plane_map or more):
-        allowed = "--suite alone beside it"
-        raise InputError("is for the scans of a suite", where="--chain", allowed=allowed)
+        raise InputError("needs the scans of a suite", where="--chain", allowed="--suite alone")
     if boards and (suite is None or quick or more):
         allowed = "--suite, --reader and --map"
-        raise InputError("is for readers and maps on a suite", where="--boards", allowed=allowed)
+        raise InputError("needs the boards of a suite", where="--boards", allowed=allowed)
     if suite is None:
         if by or against:
             where = "--by" if by else "--against"
-            raise InputError("is for suites", where=where, allowed="--suite beside it")
+            raise InputError("needs --suite", where=where)
         _judge_drawn(extractors, maps, output, quick, seed, json)
         return
     if not chain and not boards and (quick or plane_map):
-        allowed = "drawn pictures, or with --boards a suite's" if plane_map else "drawn pictures"
+        allowed = "without --suite, or with --boards" if plane_map else "without --suite"
         where = "--map" if plane_map else "--quick"
-        raise InputError("is not for the lines of a suite", where=where, allowed=allowed)
+        raise InputError("does not apply to the lines of a suite", where=where, allowed=allowed)
     with progress_bar("bench") as progress:
         if chain:
             run, unit = suiterun.run_chains(suite, _each_once(only, CHAINS, chain), progress), "mm"
@@ -155,10 +153,10 @@ def _rows_table(run: suiterun.SuiteRun, by: Sequence[str], unit: str) -> Table:
 
 
 def leaderboard(
-    files: list[Path] = Argument(help="bench.json of runs on suites."),
-    output: Path = Option(Path("out/leaderboard.html"), "--output", "-o", help="The page."),
+    files: list[Path] = Argument(help="bench.json files of runs on suites."),
+    output: Path = Option(Path("out/leaderboard.html"), "--output", "-o", help="Page to write."),
     json: Json = False,
 ) -> None:
-    """Rank what saved runs on suites say, on a page of its own: a table for each suite."""
+    """Rank the methods of saved runs on suites on a page, with a table for each suite."""
     page = str(drawn.write_leaderboard(files, output))
     show({"page": page}, page, json=json)

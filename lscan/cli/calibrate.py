@@ -33,9 +33,10 @@ OpticsFile = Annotated[
     Path | None, Option(help="TOML file with [optics]; a run folder has its own.")
 ]
 Seeds = Annotated[
-    str | None, Option(help="u,v of the upper-left dot, the one beneath and the one to its right.")
+    str | None,
+    Option(help="u,v of the upper-left dot, of the one below and the one to the right, px."),
 ]
-ChannelName = Annotated[str | None, Option(help="red, green, blue or grey.")]
+ChannelName = Annotated[str | None, Option(help="Colour channel: red, green, blue or grey.")]
 
 
 def calibrate(
@@ -43,10 +44,10 @@ def calibrate(
     output: Path = Option(..., "--output", "-o", help="Calibration file to write."),
     board: BoardFile = None,
     optics: OpticsFile = None,
-    plane_map: str | None = Option(None, "--map", help=f"Plane map: {MAPS}; auto: the best."),
+    plane_map: str | None = Option(None, "--map", help=f"Plane map: {MAPS}; or auto, the best."),
     seeds: Seeds = None,
     channel: ChannelName = None,
-    overlay: Path | None = Option(None, help="Write the picture with what was found drawn on it."),
+    overlay: Path | None = Option(None, help="Picture to write, with what was found drawn on it."),
     trust: Trust = False,
     json: Json = False,
 ) -> None:
@@ -73,14 +74,12 @@ def check(
     board: BoardFile = None,
     optics: OpticsFile = None,
     placed: float | None = Option(
-        None, help="How well the board was put back, mm; else not judged."
+        None, help="Uncertainty of the board's place, mm; without it no shift is judged."
     ),
-    level: float = Option(0.01, help="Chance of a false alarm."),
-    update: Path | None = Option(
-        None, "--update", help="Calibration file to write, with what is off corrected."
-    ),
+    level: float = Option(0.01, help="Probability of a false alarm."),
+    update: Path | None = Option(None, "--update", help="Corrected calibration file to write."),
     correct: list[str] | None = Option(
-        None, "--correct", help="What --update corrects: scale, index, shift."
+        None, "--correct", help="What --update corrects: scale, index or shift; repeatable."
     ),
     seeds: Seeds = None,
     channel: ChannelName = None,
@@ -183,18 +182,18 @@ def calibrate_metric(
     views: Path = Argument(help="VIEWS.toml: pictures of a board in many poses."),
     output: Path = Option(..., "--output", "-o", help="Calibration file to write."),
     camera_only: bool = Option(
-        False, "--camera-only", help="The camera alone; no laser line is needed."
+        False, "--camera-only", help="Solve the camera alone, without a laser line."
     ),
-    camera: Path | None = Option(None, help="File of --camera-only, whose boards count as well."),
+    camera: Path | None = Option(None, help="File of --camera-only; its boards are used too."),
     overlays: Path | None = Option(
-        None, help="Folder for a picture of each view with what was found drawn on it."
+        None, help="Folder for the views, with what was found drawn on them."
     ),
     json: Json = False,
 ) -> None:
     """Solve camera, port and laser sheet from pictures of a board in several poses.
 
-    Where they give no calibration, the table of the views is printed all the same, and the
-    pictures are written beside the output.
+    If they give no calibration, the table of the views is printed all the same, and pictures of
+    what was found in them are written next to the output.
     """
     require_folders(output, overlays)
     file = load_views(views)
@@ -274,13 +273,13 @@ SHAFT = {"offset 1 mm": 1.0, "offset 2 mm": 1.0, "tilt 1 deg": 180 / np.pi,
 
 
 def calibrate_shaft(
-    run: Path = Argument(help="Run folder of the sandwave, made about a shaft."),
+    run: Path = Argument(help="Run folder of a scan of the sandwave about a shaft."),
     calibration: Path = Option(..., "--calibration", "-c", help="Calibration file (JSON)."),
-    output: Path = Option(..., "--output", "-o", help="File with [shaft] to write (TOML)."),
+    output: Path = Option(..., "--output", "-o", help="TOML file to write, with [shaft]."),
     trust: Trust = False,
     json: Json = False,
 ) -> None:
-    """Find a rotary axis from the scan of a workpiece whose shape is known."""
+    """Find a rotary axis from the scan of a workpiece of known shape."""
     require_folders(output)
     opened, plane_map = open_calibrated(run, calibration, trusted=trust)
     with progress_bar("profiles") as report:
@@ -311,7 +310,7 @@ def draw_board(
     output: Path = Option(..., "--output", "-o", help="SVG file to write."),
     json: Json = False,
 ) -> None:
-    """Draw a calibration board at its true size, to be printed or milled."""
+    """Draw a calibration board at its true size, for printing or milling."""
     require_folders(output)
     document = inline_board(read_document(board), source=str(board))
     section = "board" if "board" in document else ""

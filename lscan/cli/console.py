@@ -132,7 +132,7 @@ def _say_version(context: typer.Context, asked: bool) -> None:
 def before_any_command(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version."),
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
     """The options of a program itself: its ``app.callback``.
@@ -356,7 +356,8 @@ MAPS = (
     "refractive"
 )
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Run the code that a run folder names as its extractor.")
+    bool,
+    typer.Option("--trust", help="Run the extractor code that a run folder names."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 

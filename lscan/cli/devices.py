@@ -29,23 +29,23 @@ from lscan.errors import InputError
 
 def devices(
     rig: Path | None = Argument(
-        None, help="Rig file or scene file (TOML): what its devices can do."
+        None, help="Rig file or scene file (TOML) whose devices are described or tried out."
     ),
     test: bool = Option(
-        False, "--test", help="Take pictures and move the track by 1 mm to and fro."
+        False, "--test", help="Take pictures, and move the track back and forth by 1 mm."
     ),
     dark: bool = Option(
-        False, "--dark", help="Ask for the cap on the lens, and measure the dark too."
+        False, "--dark", help="Measure dark pictures as well; asks you to put the cap on the lens."
     ),
     pictures: int = Option(16, min=4, help="Pictures at each exposure time."),
-    approaches: int = Option(5, min=2, help="Moves to one place from either side."),
+    approaches: int = Option(5, min=2, help="Moves to the same place from each side."),
     json: Json = False,
 ) -> None:
     """List cameras, serial ports and drivers; with --test, try out a rig's camera and track.
 
-    For RIG it also lists what its devices can do, as known to their drivers without opening them.
-    For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
-    track's way clear by 2 mm, all of it where the track homes when it is opened.  The laser is
+    With RIG, also list what its devices can do, as far as their drivers know without opening them.
+    For --test, show the camera a still, evenly lit scene with bright and dark parts, and keep 2 mm
+    of the track's way clear, or all of it if the track homes when it is opened.  The laser is
     switched on and off if the plan switches it.
     """
     rig_file = None if rig is None else load_rig(rig)
@@ -84,11 +84,11 @@ def _listing_lines(listing: dict[str, Any]) -> Iterator[str | Table]:
     ports = listing["serial_ports"]
     if ports:
         rows = [[port.device, port.description] for port in ports]
-        yield table("serial ports", ["device", "what it says of itself"], rows)
+        yield table("serial ports", ["device", "description"], rows)
     else:
         yield "serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here")
     rows = [[driver.name, driver.kind, driver.does] for driver in listing["drivers"]]
-    yield table("drivers", ["name", "of a", "what it drives"], rows)
+    yield table("drivers", ["name", "kind", "what it drives"], rows)
     for kind, facts in listing.get("rig", {}).items():
         yield _facts_table(f"the rig's {kind}", facts)
 
@@ -137,7 +137,7 @@ def _track_lines(trial: TrackTrial) -> Iterator[str | Table]:
     longest_s = max(move.time_s for move in trial.moves)
     yield table(
         f"track at {found.place_mm:g} mm, {found.approaches} approaches from either side",
-        ["position as it reports it", "mm"],
+        ["reported position", "mm"],
         [
             ["mean, less what was asked", f"{found.deviation_mm:.4f}"],
             ["standard deviation after approaches from below", f"{found.upward_sigma_mm:.4f}"],

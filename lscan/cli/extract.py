@@ -34,27 +34,29 @@ def extract(
     calibration: list[Path] | None = Option(
         None, "--calibration", "-c", help="Calibration file (JSON): points in mm as well."
     ),
-    background: Path | None = Option(None, help="The same view with the laser off."),
-    frame: int = Option(0, help="Which frame of a run folder."),
-    axis: str | None = Option(None, help="columns, or rows for an upright line."),
-    extractor: str | None = Option(None, help=EXTRACTORS),
+    background: Path | None = Option(None, help="Picture of the same view with the laser off."),
+    frame: int = Option(0, help="Number of the frame in a run folder."),
+    axis: str | None = Option(None, help="columns, or rows if the line is upright."),
+    extractor: str | None = Option(None, help=f"Extractor: {EXTRACTORS}"),
     channel: str | None = Option(
         None,
-        help="red, green, blue, grey; red-, green-, blue-, cyan-, magenta-excess; auto, as of "
+        help="red, green, blue, grey; red-, green-, blue-, cyan-, magenta-excess; auto, as for "
         "a single picture.",
     ),
     threshold: float | None = Option(
-        None, "--threshold-dn", "--threshold", help="Least height of the line, DN."
+        None, "--threshold-dn", "--threshold", help="Least height of the line above the ground, DN."
     ),
-    span: int | None = Option(None, "--span-px", "--span", help="Pixels either side of the peak."),
+    span: int | None = Option(
+        None, "--span-px", "--span", help="Pixels on either side of the peak."
+    ),
     returns: str | None = Option(
-        None, help="Of several lines: brightest, first, last; both, of two lasers."
+        None, help="Which of several lines: brightest, first or last; both, for two lasers."
     ),
-    roi: str | None = Option(None, help="u0,v0,u1,v1: corners of the part to look in, px."),
+    roi: str | None = Option(None, help="Part to search, by its corners: u0,v0,u1,v1 in px."),
     mask: Path | None = Option(
         None, help="Picture, white where the line may lie, black elsewhere."
     ),
-    overlay: Path | None = Option(None, help="Write the picture with what was found drawn on it."),
+    overlay: Path | None = Option(None, help="Picture to write, with what was found drawn on it."),
     trust: Trust = False,
     json: Json = False,
 ) -> None:
@@ -87,12 +89,13 @@ def extract(
             save_stripe(output if len(found) == 1 else one_of_two, stripe, points)
     if any((s.status == Status.AMBIGUOUS).mean() > 0.25 for s in stripes):
         note(
-            "many columns hold several lines as bright: try --returns first, last or both, or --roi"
+            "many columns hold several lines that are equally bright: try --returns first, last or "
+            "both, or --roi"
         )
     if not any(has_value(s.status).any() for s in stripes):
         note(
             f"none of the {settings.axis} has a peak above its ground: try another --channel or "
-            "--axis, a lower --threshold-dn; where a wide line leaves no ground, a smaller picture"
+            "--axis, or a lower --threshold-dn; if a wide line leaves no ground, a smaller picture"
         )
     seen_px = 2 * settings.span_px + 1
     wide_px = _width_px(image, settings, stripes[0]) if settings.extractor in BY_SPAN else 0.0
@@ -105,7 +108,7 @@ def extract(
         shows_more = partial(_shows_more, image, dark, settings, stripes[0])
         across = "rows" if settings.axis == "columns" else "columns"
         if axis is None and shows_more(axis=across):
-            note("far more rows hold a line than columns: of an upright line say --axis rows")
+            note("far more rows than columns hold a line: use --axis rows for an upright line")
         elif channel is None and shows_more(channel="grey"):
             note(f"far more {settings.axis} hold a line in grey than in colour: try --channel grey")
     lines, words = [_counts(*one) for one in found], []

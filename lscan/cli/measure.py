@@ -42,15 +42,13 @@ def reconstruct(
     calibration: Path = Option(..., "--calibration", "-c", help="Calibration file (JSON)."),
     output: Path = Option(..., "--output", "-o", help="Surface to write (.nc)."),
     points: Path | None = Option(None, help="Point cloud to write (.ply)."),
-    alignment: Path | None = Option(None, help="Alignment kept from a scan of the block (JSON)."),
-    save_alignment: Path | None = Option(
-        None, help="Keep the alignment found, for other scans (.json)."
-    ),
+    alignment: Path | None = Option(None, help="Alignment saved from a scan of the block (JSON)."),
+    save_alignment: Path | None = Option(None, help="Alignment to write, for other scans (.json)."),
     shaft: ShaftFile = None,
     trust: Trust = False,
     json: Json = False,
 ) -> None:
-    """Turn a run's pictures into the surface that is measured, aligned if it is a sandwave's."""
+    """Turn a run's pictures into a surface, aligned with the block if it is a sandwave's."""
     require_folders(output, points, save_alignment)
     if alignment and save_alignment:
         raise InputError("goes without --alignment", where="--save-alignment")
@@ -70,7 +68,7 @@ def reconstruct(
         )
     if found < LEAST_SHARE * surface.status.size:
         note(
-            f"a line in {found} of {surface.status.size} columns alone; if the pictures show the "
+            f"only {found} of {surface.status.size} columns hold a line; if the pictures show the "
             f"board, {_NO_SURFACE}"
         )
     _note_doubts(built, opened.rig_file.rig)
@@ -98,15 +96,15 @@ def reconstruct(
 
 
 def measure(
-    run: Path = Argument(help="Run folder; with --shapes also a surface (.nc)."),
+    run: Path = Argument(help="Run folder; with --shapes also a surface file (.nc)."),
     calibration: Path | None = Option(
-        None, "--calibration", "-c", help="Calibration file (JSON), which a run needs."
+        None, "--calibration", "-c", help="Calibration file (JSON), needed for a run."
     ),
     output: Path | None = Option(None, "--output", "-o", help="JSON file to write."),
     shapes: Path | None = Option(
-        None, help="TOML file: planes, steps, spheres, cylinders, heights to measure."
+        None, help="TOML file of planes, steps, spheres, cylinders and heights to measure."
     ),
-    alignment: Path | None = Option(None, help="Alignment kept from a scan of the block (JSON)."),
+    alignment: Path | None = Option(None, help="Alignment saved from a scan of the block (JSON)."),
     shaft: ShaftFile = None,
     trust: Trust = False,
     json: Json = False,

@@ -26,14 +26,14 @@ _LEFT_OUT = ("\nmm", "\n%")  # columns of the page that a terminal has no room f
 
 def compare(
     surface: Path = Argument(help="Surface (.nc)."),
-    mesh: Path = Argument(help="Mesh file: PLY, STL, OBJ or OFF."),
+    mesh: Path = Argument(help="Mesh file (PLY, STL, OBJ or OFF)."),
     output: Path | None = Option(None, "--output", "-o", help="JSON file to write."),
-    unit: str = Option("mm", help="Of the mesh: mm, cm, m or inch."),
-    at: str = Option("0,0,0", help="x,y,z of the mesh's origin in the surface's frame, mm."),
-    turn: float = Option(0.0, help="Of the mesh about z, degrees."),
-    fit: bool = Option(False, "--fit", help="Find the pose from the points, starting from that."),
-    within: float = Option(10.0, help="mm; points farther off the mesh are not compared."),
-    points: Path | None = Option(None, help="Points coloured by distance to write (.ply)."),
+    unit: str = Option("mm", help="Unit of the mesh: mm, cm, m or inch."),
+    at: str = Option("0,0,0", help="x,y,z in mm of the mesh's origin, in the surface's frame."),
+    turn: float = Option(0.0, help="Rotation of the mesh about z, degrees."),
+    fit: bool = Option(False, "--fit", help="Fit the mesh's pose, starting from --at and --turn."),
+    within: float = Option(10.0, help="Greatest distance at which points are compared, mm."),
+    points: Path | None = Option(None, help="Point cloud to write, coloured by distance (.ply)."),
     histogram: Path | None = Option(None, help="Histogram of the distances to write (.png)."),
     json: Json = False,
 ) -> None:
@@ -89,7 +89,7 @@ def report(
     trust: Trust = False,
     json: Json = False,
 ) -> None:
-    """Evaluate the paper's experiment from its run folders and write the page."""
+    """Evaluate the paper's experiment from its run folders and write a report."""
     with progress_bar("evaluate") as progress:
         experiment = paper.evaluate(
             open_run(board, trust),

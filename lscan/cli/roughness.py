@@ -25,18 +25,18 @@ def roughness(
     surface: Path = Argument(help="Surface (.nc)."),
     output: Path | None = Option(None, "--output", "-o", help="Spectra to write (.nc)."),
     cell: float | None = Option(
-        None, help="mm, side of the cells that points are averaged in, in place of profiles."
+        None, help="Side of cells to average points in, mm; without it profiles are used."
     ),
     yaw: float = Option(
-        0.0, help="Degrees, of the sheet against the track, of a surface as scanned."
+        0.0, help="Yaw of the sheet against the track, degrees, of a surface that is not aligned."
     ),
-    sheet: float = Option(0.0, help="mm, standard deviation of the light across the sheet."),
+    sheet: float = Option(0.0, help="Standard deviation of the light across the sheet, mm."),
     blur: float | None = Option(
         None,
         help="mm, standard deviation of the lens's blur on the seabed; by default that which "
         "the lines were corrected for, if any and with --pixel.",
     ),
-    pixel: float = Option(0.0, help="mm, width of a pixel on the seabed."),
+    pixel: float = Option(0.0, help="Width of a pixel on the seabed, mm."),
     rig: Path | None = Option(
         None,
         help="Rig file that the surface was scanned with: says sheet, blur, pixel and how its "
@@ -46,7 +46,7 @@ def roughness(
         None, help="DN, brightest grey value of a usual line above the ground; with --rig."
     ),
     stretched: bool = Option(
-        False, "--stretched", help="The power law may differ between directions."
+        False, "--stretched", help="Let the power law differ between directions."
     ),
     figures: Path | None = Option(
         None, help="Folder for the figures: spectrum, plane, rose (.png)."
@@ -57,20 +57,20 @@ def roughness(
         help="Sediment whose backscatter is asked, by its name in APL-UW TR 9407, such as "
         '"medium sand"; another lists all.',
     ),
-    frequency: list[float] | None = Option(None, help="kHz, of the sound; may be given again."),
-    grazing: list[float] | None = Option(None, help="Degrees, grazing angle; may be given again."),
+    frequency: list[float] | None = Option(None, help="Frequency of the sound, kHz; repeatable."),
+    grazing: list[float] | None = Option(None, help="Grazing angle, degrees; repeatable."),
     json: Json = False,
 ) -> None:
     """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
     require_folders(output)
     if cell is not None and not cell > 0:
-        raise InputError("is no length", where="--cell", value=cell, allowed="above 0 mm")
+        raise InputError("is not a length", where="--cell", value=cell, allowed="above 0 mm")
     for name, length in (("sheet", sheet), ("blur", blur), ("pixel", pixel)):
         if length is not None and not length >= 0:
             allowed = "0 mm or more"
-            raise InputError("is no length", where=f"--{name}", value=length, allowed=allowed)
+            raise InputError("is not a length", where=f"--{name}", value=length, allowed=allowed)
     if not abs(yaw) < 45:
-        raise InputError("is no yaw", where="--yaw", value=yaw, allowed="-45 to 45 degrees")
+        raise InputError("is not a yaw", where="--yaw", value=yaw, allowed="-45 to 45 degrees")
     if bottom is None and (frequency or grazing):
         raise InputError("is needed with --frequency or --grazing", where="--sediment")
     ground = None if bottom is None else rough.sediment(bottom)
@@ -78,14 +78,14 @@ def roughness(
     if rig is None:
         response = _stated_response(scanned, sheet, blur, pixel)
     elif sheet or blur or pixel:
-        raise InputError("says sheet, blur and pixel itself", where="--rig", value=rig)
+        raise InputError("gives sheet, blur and pixel itself", where="--rig", value=rig)
     else:
         response = rough.response_of(load_rig(rig).rig, scanned, peak)
     response = replace(response, cell_cm=(cell or 0.0) / MM_PER_CM)
     sheared = replace(scanned, xyz_mm=scanned.xyz_mm @ shear(np.radians(yaw)).T)
     patch = rough.patch_of_profiles(sheared) if cell is None else patch_of_cells(sheared, cell)
     if patch.steps > MOST_STEPS:
-        note("steps lie in the patch, as of a block's rim: ripples, law and intervals do not hold")
+        note("steps lie in the patch, such as a rim: ripples, law and intervals are not valid")
     with progress_bar("roughness") as progress:
         found = rough.roughness_of(patch, response, stretched=stretched, progress=progress)
     if output:

@@ -15,11 +15,11 @@ from lscan.errors import DeviceError, InputError
 def scan(
     rig: Path = Argument(help="Rig file or scene file (TOML), or a scene's name."),
     output: Path = Option(..., "--output", "-o", help="Run folder to write."),
-    resume: bool = Option(False, "--resume", help="Go on with a stopped run."),
+    resume: bool = Option(False, "--resume", help="Resume a stopped run."),
     position_restored: bool = Option(
         False,
         "--position-restored",
-        help="With --resume, after the track lost its zero: the head was put back by hand.",
+        help="With --resume after the track lost its zero: the head was put back by hand.",
     ),
     json: Json = False,
 ) -> None:
@@ -42,9 +42,9 @@ def live(
     calibration: Path | None = Option(None, "--calibration", "-c", help="Calibration file (JSON)."),
     output: Path = Option(Path("runs"), "--output", "-o", help="Folder for the run folders."),
     host: str = Option("127.0.0.1", help="Address to serve on."),
-    port: int = Option(8765, min=0, max=65535, help="Port; 0: any that is free."),
+    port: int = Option(8765, min=0, max=65535, help="Port; 0 for any that is free."),
     token: str | None = Option(
-        None, help="What a browser must know; made for a --host that others reach."
+        None, help="Token that a browser must present; generated if others can reach --host."
     ),
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""
@@ -84,7 +84,7 @@ def scenes(
     copy: Path | None = Option(None, help="New folder to copy all scenes to."),
     json: Json = False,
 ) -> None:
-    """List the scenes, rigs and boards that come with lscan, or copy them to be changed."""
+    """List the scenes, rigs and boards that come with lscan, or copy them to be edited."""
     names = scene_names()
     if copy is None:
         words = [f"{name:26}{scene_about(name)}" for name in names]

@@ -16,7 +16,7 @@ SuiteName = Annotated[str, typer.Argument(help="Name of a suite, or its archive 
 
 
 def list_suites(json: Json = False) -> None:
-    """The suites of installed packages and of the user's cache."""
+    """List the suites of installed packages and of the user's cache."""
     found = {name: str(path) for name, path in suites.suites_found().items()}
     show(found, *(f"{name}: {path}" for name, path in found.items()), json=json)
     if not found and not json:
@@ -27,7 +27,7 @@ def list_suites(json: Json = False) -> None:
 
 
 def show_suite(name: SuiteName, json: Json = False) -> None:
-    """What a suite holds: its cases on each axis."""
+    """Show what a suite holds: its cases on each axis."""
     content = suites.open_suite(suites.find_suite(name)).content
     axes = {kind: suites.axes_of(cases) for kind, cases in content.kinds.items()}
     fields = content.model_dump(mode="json", include={"name", "seed", "made_by", "version"})
@@ -54,12 +54,12 @@ def verify(name: SuiteName, json: Json = False) -> None:
 
 
 def wheel(
-    archives: list[Path] = Argument(help="Archives of suites."),
-    output: Path = Option(Path("out/dist"), "--output", "-o", help="Folder."),
-    name: str = Option("lscan-suites", help="Of the package."),
-    version: str = Option(__version__, help="Of the package."),
+    archives: list[Path] = Argument(help="Suite archives."),
+    output: Path = Option(Path("out/dist"), "--output", "-o", help="Folder to write to."),
+    name: str = Option("lscan-suites", help="Name of the package."),
+    version: str = Option(__version__, help="Version of the package."),
     json: Json = False,
 ) -> None:
-    """Pack suites as a wheel, which lscan finds once pip has installed it."""
+    """Pack suites into a wheel; lscan finds them once pip has installed it."""
     written = str(write_suite_wheel(archives, output, name, version))
     show({"wheel": written}, written, json=json)

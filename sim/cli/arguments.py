@@ -17,14 +17,15 @@ SceneFile = Annotated[
     Path, typer.Argument(help="Scene file (TOML), or a name that `lscan scenes` lists.")
 ]
 ScenesFolder = Annotated[
-    Path | None, typer.Option("--scenes", help="Folder of scene files, if not those of lscan.")
+    Path | None, typer.Option("--scenes", help="Folder of scene files, in place of lscan's own.")
 ]
 PaperFolder = Annotated[
     Path | None,
-    typer.Option("--scenes", help="Folder with board, groove and sandwave, if not the paper's."),
+    typer.Option("--scenes", help="Folder with other board, groove and sandwave scenes."),
 ]
 Quick = Annotated[
-    bool, typer.Option("--quick", help="Every figure with the least effort, within a minute.")
+    bool,
+    typer.Option("--quick", help="Every figure at the least effort, within a minute."),
 ]
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")]
 OutputFile = Annotated[Path, typer.Option("--output", "-o", help="JSON file to write.")]

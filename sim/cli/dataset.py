@@ -14,17 +14,18 @@ from sim.datasets.datasetspec import load_dataset_spec
 def dataset(
     spec: Path = Argument(help="Spec (TOML), or lscan's own: stripes."),
     output: OutputFolder = Path("out/dataset"),
-    count: int = Option(100, min=1, max=10**9, help="Pictures."),
-    workers: int = Option(2, help="Processes of this machine.", min=1, max=MOST_WORKERS),
+    count: int = Option(100, min=1, max=10**9, help="Number of pictures."),
+    workers: int = Option(2, help="Number of processes on this machine.", min=1, max=MOST_WORKERS),
     scheduler: str | None = Option(
-        None, help="Another Dask cluster that sees the same folder; it trusts all who reach it."
+        None,
+        help="Address of a Dask cluster that sees the same folder; it trusts all who reach it.",
     ),
-    processes: str | None = Option(None, help='"none": all in this process, to debug.'),
-    form: str = Option("webdataset", "--format", help="webdataset, hdf5 or folders."),
-    resume: bool = Option(False, "--resume", help="Go on with the shards that the folder holds."),
+    processes: str | None = Option(None, help='"none" runs all in this process, to debug.'),
+    form: str = Option("webdataset", "--format", help="Format: webdataset, hdf5 or folders."),
+    resume: bool = Option(False, "--resume", help="Resume with the shards that the folder holds."),
     json: Json = False,
 ) -> None:
-    """Pictures with all labels, of scenes drawn from distributions over any key."""
+    """Render labelled pictures of scenes drawn from distributions over any key."""
     how, shards = one_process(processes) or workers, one_of(form, ENDINGS, "--format")
     with keep_notes_when_stopped(), progress_bar("pictures") as progress:
         manifest = make_dataset(
@@ -38,13 +39,16 @@ def dataset(
 def make_suite(
     spec: Path = Argument(help="Spec file (TOML), or one of lscan's: chains, full, quick."),
     output: Path | None = Option(
-        None, "--output", "-o", help="Archive; if not, the one of the user's cache is replaced."
+        None,
+        "--output",
+        "-o",
+        help="Archive to write; by default that of the user's cache is replaced.",
     ),
-    seed: int | None = Option(None, min=0, help="In place of the spec's own."),
-    workers: int = Option(2, help="Processes of this machine."),
+    seed: int | None = Option(None, min=0, help="Seed to use in place of the spec's own."),
+    workers: int = Option(2, help="Number of processes on this machine."),
     json: Json = False,
 ) -> None:
-    """Render a suite, or go on where it was ended; lscan bench --suite judges by it."""
+    """Render a suite, or resume one that was interrupted; lscan bench --suite judges by it."""
     from sim.datasets import suite  # loads Mitsuba
 
     require_workers(workers)

@@ -23,25 +23,25 @@ from sim.truth.placement import check_placement
 def render(
     scene: SceneFile,
     output: OutputFolder,
-    position: float | None = Option(None, help="Track position, mm; the plan's start."),
-    samples: int | None = Option(None, min=1, help="Samples a pixel, a square number."),
+    position: float | None = Option(None, help="Track position, mm; by default the plan's start."),
+    samples: int | None = Option(None, min=1, help="Samples per pixel, a square number."),
     json: Json = False,
 ) -> None:
-    """The picture the webcam would take, and the layers of light it is made of."""
+    """Render the picture that the webcam would take, and the layers of light in it."""
     loaded = load_checked(scene)
     place = loaded.rig.plan.start_mm if position is None else position
     show_places(write_render(loaded, place, output, samples), json)
 
 
 def truth(
-    scene: Path = Argument(help="Scene file or name, or a run folder of one: all its frames."),
+    scene: Path = Argument(help="Scene file or name, or for all frames of a scan its run folder."),
     output: Path = Option(..., "--output", "-o", help="Folder to write."),
     position: list[float] | None = Option(
-        None, help="Track position, mm, again for more; the plan's start."
+        None, help="Track position, mm, repeatable; by default the plan's start."
     ),
     json: Json = False,
 ) -> None:
-    """Where everything in the picture really is: the line's centre, the board's marks."""
+    """Write where everything in the picture really is: the line's centre, the board's marks."""
     if scene.is_dir():
         if position:
             raise InputError(
@@ -66,11 +66,11 @@ def truth(
 def views(
     scene: SceneFile,
     output: OutputFolder,
-    poses: int = Option(10, min=1, max=100, help="Of the board."),
-    seed: int = Option(1, min=0, help="Of the poses and the noise."),
+    poses: int = Option(10, min=1, max=100, help="Number of poses of the board."),
+    seed: int = Option(1, min=0, help="Seed of the poses and the noise."),
     json: Json = False,
 ) -> None:
-    """A board held into the sheet in many poses: what lscan calibrate-metric takes."""
+    """Render a board held into the sheet in many poses, for lscan calibrate-metric."""
     show_places(write_views(load_checked(scene), output, poses, seed), json)
 
 
@@ -80,11 +80,11 @@ def views(
 def demo(
     output: OutputFolder = Path("out/demo"),
     scenes: PaperFolder = None,
-    frames: int | None = Option(None, min=100, help="Sandwave pictures, if not 400."),
+    frames: int | None = Option(None, min=100, help="Number of sandwave pictures; 400 by default."),
     quick: Quick = False,
     json: Json = False,
 ) -> None:
-    """The paper's experiment: calibrate, scan, measure and compare, with a report."""
+    """Run the paper's experiment: calibrate, scan, measure and compare, with a report."""
     from sim.demo import run_demo  # loads Mitsuba
 
     experiment = run_demo(scenes or scenes_folder() / "paper", output, frames, quick=quick)

@@ -21,27 +21,27 @@ from sim.emulators.track import ServeOptions
 
 def serve(
     scenes: list[Path] = Argument(
-        help="Scene file (TOML), or a name that `lscan scenes` lists; of several, such as the "
+        help="Scene file (TOML), or a name that `lscan scenes` lists; with several, such as the "
         "board and what is to be scanned, each has a webcam and a track of its own."
     ),
-    http_port: int = Option(0, help="Of the webcam; 0: any."),
+    http_port: int = Option(0, help="Port of the webcam; 0 for any that is free."),
     fps: float = Option(30.0, help="Pictures per second."),
-    quality: int = Option(95, help="Of the JPEGs, 1 to 100."),
-    subsampling: str = Option("4:4:4", help="Chroma: 4:4:4, or a webcam's 4:2:2, 4:2:0."),
-    switched_laser: bool = Option(False, "--switched-laser", help="Lit only by M3, else always."),
-    prepare: bool = Option(False, "--prepare", help="Render the whole plan before opening."),
-    places: int = Option(64, help="Renderings kept, 5 MB each."),
-    dialect: str = Option("grbl", help="grbl or marlin."),
-    link: Path | None = Option(None, help="Lasting name for the serial port."),
+    quality: int = Option(95, help="Quality of the JPEGs, 1 to 100."),
+    subsampling: str = Option("4:4:4", help="Chroma of the JPEGs: 4:4:4, 4:2:2 or 4:2:0."),
+    switched_laser: bool = Option(False, "--switched-laser", help="The laser is lit by M3 only."),
+    prepare: bool = Option(False, "--prepare", help="Render the whole plan before serving."),
+    places: int = Option(64, help="Number of renderings kept, 5 MB each."),
+    dialect: str = Option("grbl", help="Dialect of the controller: grbl or marlin."),
+    link: Path | None = Option(None, help="Permanent name (a link) for the serial port."),
     write_rig: Path | None = Option(
-        None, help="Rig file to write, for lscan; of several scenes a folder."
+        None, help="Rig file to write for lscan; for several scenes, a folder."
     ),
     fault: list[str] | None = Option(
-        None, help="NAME@SECONDS after the start; none@SECONDS ends it."
+        None, help="Fault to inject, as NAME@SECONDS after the start; none@SECONDS ends it."
     ),
     json: Json = False,
 ) -> None:
-    """The tank as a webcam (MJPEG, loopback) and a Grbl track; runs until Ctrl-C."""
+    """Serve the tank as a webcam (MJPEG, loopback) and a Grbl track until Ctrl-C."""
     given = {
         "http_port": http_port, "fps": fps, "quality": quality, "subsampling": subsampling,
         "places": places, "switched_laser": switched_laser, "prepare": prepare,
@@ -67,7 +67,8 @@ def serve(
             if not json:
                 show_places(found[-1], json)
             if rig is not None and not json:
-                note(f"next, elsewhere: lscan live {rig}, or lscan scan {rig} -o runs/{rig.stem}")
+                scan = f"lscan scan {rig} -o runs/{rig.stem}"
+                note(f"next, in another terminal: lscan live {rig}, or {scan}")
         show(found[0] if len(found) == 1 else {"scenes": found}, json=json)
         sys.stdout.flush()
         while True:

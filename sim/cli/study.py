@@ -28,17 +28,18 @@ from sim.studies.studyfile import Tier
 def study(
     file: Path = Argument(help=f"Study file (TOML), or one of lscan's: {STUDIES}."),
     output: OutputFolder = Path("out/study"),
-    workers: int = Option(2, help="Processes of this machine, one thread each."),
+    workers: int = Option(2, help="Number of processes on this machine, one thread each."),
     scheduler: str | None = Option(
-        None, help="Another Dask cluster, such as tcp://cluster:8786; it trusts all who reach it."
+        None,
+        help="Address of a Dask cluster, such as tcp://cluster:8786; it trusts all who reach it.",
     ),
-    processes: str | None = Option(None, help='"none": all in this process, to debug.'),
-    tier: str = Option("", help="geometric, rendered or both, in place of the file's."),
-    at_most: int = Option(20_000, help="Runs that are agreed to.", min=1),
-    resume: bool = Option(False, "--resume", help="Go on with the runs that the folder holds."),
+    processes: str | None = Option(None, help='"none" runs all in this process, to debug.'),
+    tier: str = Option("", help="geometric, rendered or both, in place of the file's own."),
+    at_most: int = Option(20_000, help="Greatest number of runs allowed.", min=1),
+    resume: bool = Option(False, "--resume", help="Resume with the runs that the folder holds."),
     json: Json = False,
 ) -> None:
-    """Where the error of a rig comes from: a budget, cause by cause, with intervals."""
+    """Find where the error of a rig comes from: a budget, cause by cause, with intervals."""
     from sim.studies.run.running import StudyOptions  # loads Mitsuba
     from sim.studies.study import run_study
 
@@ -61,10 +62,10 @@ def study(
 def concavity(
     output: OutputFolder = Path("out/concavity"),
     scenes: ScenesFolder = None,
-    only: str = Option("", help="The targets that have this in their name alone."),
+    only: str = Option("", help="Only the targets whose name contains this text."),
     json: Json = False,
 ) -> None:
-    """The line's height on curved targets: its error as found, and what corrections leave."""
+    """Measure the line's height on curved targets: its error, and what corrections leave of it."""
     from sim.studies.concavity import run_concavity  # loads Mitsuba
 
     with progress_bar("concavity") as progress:
