@@ -201,7 +201,7 @@ def calibrate_metric(
     with progress_bar("views") as report:
         found, size = read_views(file, report)
     boards, optics, k3 = [], file.document.optics, file.document.k3
-    if known is not None and camera is not None:
+    if known and camera:
         files.require_same_camera(known, file, size, camera)
         boards, optics, k3 = known.boards_beside(found), known.optics, known.k3
     try:
@@ -238,33 +238,21 @@ def calibrate_metric(
 
 def _views_table(views: Sequence[FittedView]) -> Table:
     rows = [
-        [
-            view.name,
-            f"{view.marks_used} of {view.marks_found}",
-            view.rms_px,
-            f"{view.line_points_used} of {view.points_found}" if view.points_found else "",
-            view.line_rms_mm if view.line_points_used else "",
-            view.outcome,
-        ]
+        [view.name, f"{view.marks_used} of {view.marks_found}", view.rms_px,
+         f"{view.line_points_used} of {view.points_found}" if view.points_found else "",
+         view.line_rms_mm if view.line_points_used else "", view.outcome]
         for view in views
-    ]
+    ]  # fmt: skip
     return table("views", ["", "marks", "rms px", "line points", "rms mm", ""], rows)
 
 
 def _views_json(views: Sequence[FittedView]) -> list[dict[str, Any]]:
     return [
-        {
-            "view": view.name,
-            "used": view.used,
-            "marks": view.marks_used,
-            "rms_px": view.rms_px,
-            "line_used": view.line_used,
-            "line_points": view.line_points_used,
-            "line_rms_mm": view.line_rms_mm,
-            "fault": view.reason,
-        }
+        {"view": view.name, "used": view.used, "marks": view.marks_used, "rms_px": view.rms_px,
+         "line_used": view.line_used, "line_points": view.line_points_used,
+         "line_rms_mm": view.line_rms_mm, "fault": view.reason}
         for view in views
-    ]
+    ]  # fmt: skip
 
 
 SHAFT = {"offset 1 mm": 1.0, "offset 2 mm": 1.0, "tilt 1 deg": 180 / np.pi,

@@ -315,12 +315,22 @@ def show(content: object, *lines: str | Table, json: bool) -> None:
 
 
 def print_json(value: object) -> None:
-    """Print a value, as of ``json_text``, as JSON on stdout."""
+    """Print a value as JSON on stdout.
+
+    Parameters
+    ----------
+    value : as of ``json_text``
+    """
     show(value, json=True)
 
 
 def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table on stdout, see ``table``."""
+    """Print a table on stdout.
+
+    Parameters
+    ----------
+    title, headings, rows : as of ``table``
+    """
     show(None, table(title, headings, rows), json=False)
 
 

@@ -67,15 +67,10 @@ def devices(
 def _listing_lines(listing: dict[str, Any]) -> Iterator[str | Table]:
     if listing["cameras"]:
         rows = [
-            [
-                camera.device,
-                camera.state,
-                _size(camera.size_px),
-                camera.pixel_format or "",
-                ", ".join(map(_size, camera.sizes_px)),
-            ]
-            for camera in listing["cameras"]
-        ]
+            [one.device, one.state, _size(one.size_px), one.pixel_format or "",
+             ", ".join(map(_size, one.sizes_px))]
+            for one in listing["cameras"]
+        ]  # fmt: skip
         yield table("cameras", ["device", "state", "now", "format", "sizes"], rows)
         for name, camera in sorted((n, each) for each in listing["cameras"] for n in each.by_id):
             yield f"{camera.device} is also {name}, whatever its number becomes"

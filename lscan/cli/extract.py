@@ -10,7 +10,7 @@ import numpy as np
 from typer import Argument, Option
 
 from lscan.acquisition.run import open_run
-from lscan.cli.console import EXTRACTORS, Json, Trust, note, require_folders, show
+from lscan.cli.console import EXTRACTORS, Json, Trust, note, one_of, require_folders, show
 from lscan.cli.inputs import picture_part, plane_maps, read_as_stored
 from lscan.config.documents import check
 from lscan.config.rig import Rig, StripeSection
@@ -65,16 +65,11 @@ def extract(
     image, dark, rig = _read_pictures(picture, frame, background, trust)
     usual = StripeSection(channel="auto") if rig is None else rig.stripe
     given = {
-        "axis": axis,
-        "extractor": extractor,
-        "channel": channel,
-        "threshold_dn": threshold,
-        "span_px": span,
-        "returns": None if returns == BOTH else returns,
-    }
-    if returns not in (None, *RETURNS):
-        allowed = ", ".join(RETURNS)
-        raise InputError("names no line", where="--returns", value=returns, allowed=allowed)
+        "axis": axis, "extractor": extractor, "channel": channel, "threshold_dn": threshold,
+        "span_px": span, "returns": None if returns == BOTH else returns,
+    }  # fmt: skip
+    if returns is not None:
+        one_of(returns, RETURNS, "--returns", "names no line")
     changes = {key: value for key, value in given.items() if value is not None}
     settings = check(StripeSection, {**usual.model_dump(), **changes}, where="command line")
     maps = plane_maps(calibration or [], 2 if returns == BOTH else 1, image, picture, rig)

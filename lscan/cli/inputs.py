@@ -15,7 +15,7 @@ from lscan.board.marks import FEWEST
 from lscan.calibration.calibrationfile import load_plane_map
 from lscan.calibration.check import CorrectionKind, carried
 from lscan.calibration.planemap import PlaneMap
-from lscan.cli.console import note
+from lscan.cli.console import note, one_of
 from lscan.config.board import Board, load_board
 from lscan.config.documents import check, read_document
 from lscan.config.rig import CalibrationSection, OpticsSection, Rig
@@ -27,12 +27,16 @@ from lscan.surface.shaft import load_shaft
 
 
 def open_calibrated(
-    run: Path, calibration: Path, shaft: Path | None = None, trusted: bool = False
+    run: Path, calibration: Path | None, shaft: Path | None = None, trusted: bool = False
 ) -> tuple[Run, PlaneMap]:
     """A run and the plane map for its pictures; a run that is not complete is said to be so.
 
     shaft: TOML file whose [shaft] takes the place of the run's own.  trusted: as ``open_run``.
     """
+    if calibration is None:
+        gone = "" if os.path.exists(run) else f", and {run} does not exist"  # noqa: PTH110 - any text
+        allowed = "a file, with a run folder"
+        raise InputError(f"is missing{gone}", where="--calibration", allowed=allowed)
     opened = open_run(run, trusted)
     rig = opened.rig_file.rig
     if shaft is not None:
@@ -70,12 +74,8 @@ def parse_seeds(text: str | None) -> Floats | None:
 def parse_corrections(words: Sequence[str] | None) -> tuple[CorrectionKind, ...]:
     """The kinds of correction, in the order in which they are made; InputError for another."""
     allowed = get_args(CorrectionKind)
-    for word in words or ():
-        if word not in allowed:
-            raise InputError(
-                "no such correction", where="--correct", value=word, allowed=", ".join(allowed)
-            )
-    return tuple(kind for kind in allowed if kind in (words or ()))
+    kinds = [one_of(word, allowed, "--correct", "no such correction") for word in words or ()]
+    return tuple(kind for kind in allowed if kind in kinds)
 
 
 @dataclass(frozen=True)
@@ -126,13 +126,11 @@ def board_picture(
         known = read_optics(optics) if optics else rig.optics
         return BoardSource(mean_picture(run), nominal, rig.calibration, known, run)
     if not os.path.exists(picture):  # noqa: PTH110 - takes any text
-        raise InputError(
-            "no such file or folder", where=picture, allowed="a picture file or a run folder"
-        )
+        allowed = "a picture file or a run folder"
+        raise InputError("no such file or folder", where=picture, allowed=allowed)
     if board is None:
         raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
-    known = read_optics(optics) if optics else OpticsSection()
-    stored = read_as_stored(picture)
+    known, stored = read_optics(optics) if optics else OpticsSection(), read_as_stored(picture)
     return BoardSource(stored, load_board(board), CalibrationSection(), known)
 
 
@@ -170,13 +168,10 @@ def plane_maps(
     maps = []
     for file in files:
         plane_map, size = load_plane_map(file)
-        if size != (image.shape[1], image.shape[0]):
-            raise InputError(
-                "is of another size than the calibration's pictures",
-                where=where,
-                value=(image.shape[1], image.shape[0]),
-                allowed=f"{size[0]} x {size[1]} px, as in {file}",
-            )
+        if size != (shown := (image.shape[1], image.shape[0])):
+            what = "is of another size than the calibration's pictures"
+            allowed = f"{size[0]} x {size[1]} px, as in {file}"
+            raise InputError(what, where=where, value=shown, allowed=allowed)
         maps.append(plane_map if rig is None else carried(plane_map, rig))
     return maps
 

@@ -114,51 +114,31 @@ def measure(
     if shapes is None:
         if alignment is not None:
             raise InputError("goes with --shapes", where="--alignment", value=str(alignment))
-        measures = _measure_piece(run, calibration, shaft, trust)
+        opened, plane_map = open_calibrated(run, calibration, shaft, trust)
+        with progress_bar("measure") as progress:
+            measures = pipeline.measure_run(opened, plane_map, progress)
+        if isinstance(measures, pipeline.SandwaveMeasures):
+            _note_scale(measures.aligned, opened.rig_file.rig)
         content, lines = measures.as_json(), _measures_lines(measures)
     else:
-        surface, found = _measure_shapes(run, calibration, shapes, alignment, shaft, trust)
+        wanted = load_shapes(shapes)
+        if os.path.isfile(run):  # noqa: PTH113 - takes any text
+            of_runs = {"--calibration": calibration, "--alignment": alignment, "--shaft": shaft}
+            for option, given in of_runs.items():
+                if given is not None:
+                    raise InputError("goes with a run folder", where=option, value=str(given))
+            surface = load_surface(run)
+        else:
+            opened, plane_map = open_calibrated(run, calibration, shaft, trust)
+            built = _build_surface(opened, plane_map, alignment)
+            _note_doubts(built, opened.rig_file.rig)
+            surface = built.surface
+        found = measure_shapes(surface, wanted)
         every = {one.name: one.as_json() for one in found}
         content, lines = {"frame": surface.frame, "shapes": every}, _shapes_lines(found)
     if output:
         write_json(output, content)
     show(content, *lines, json=json)
-
-
-def _measure_piece(
-    run: Path, calibration: Path | None, shaft: Path | None, trust: bool
-) -> pipeline.Measures:
-    """What the run shows of the piece that its rig names."""
-    opened, plane_map = open_calibrated(run, _required(calibration, run), shaft, trust)
-    with progress_bar("measure") as progress:
-        measures = pipeline.measure_run(opened, plane_map, progress)
-    if isinstance(measures, pipeline.SandwaveMeasures):
-        _note_scale(measures.aligned, opened.rig_file.rig)
-    return measures
-
-
-def _measure_shapes(
-    source: Path,
-    calibration: Path | None,
-    shapes: Path,
-    alignment: Path | None,
-    shaft: Path | None,
-    trust: bool,
-) -> tuple[Surface, list[ShapeMeasure]]:
-    """The surface of a file or of a run, and what the shapes file asks for of it."""
-    wanted = load_shapes(shapes)
-    if os.path.isfile(source):  # noqa: PTH113 - takes any text
-        of_runs = {"--calibration": calibration, "--alignment": alignment, "--shaft": shaft}
-        for option, given in of_runs.items():
-            if given is not None:
-                raise InputError("goes with a run folder", where=option, value=str(given))
-        surface = load_surface(source)
-    else:
-        opened, plane_map = open_calibrated(source, _required(calibration, source), shaft, trust)
-        built = _build_surface(opened, plane_map, alignment)
-        _note_doubts(built, opened.rig_file.rig)
-        surface = built.surface
-    return surface, measure_shapes(surface, wanted)
 
 
 def _build_surface(run: Run, plane_map: PlaneMap, alignment: Path | None) -> Reconstruction:
@@ -173,15 +153,6 @@ def _build_surface(run: Run, plane_map: PlaneMap, alignment: Path | None) -> Rec
             "both count, as if independent"
         )
     return built
-
-
-def _required(calibration: Path | None, run: Path) -> Path:
-    if calibration is None:
-        gone = "" if os.path.exists(run) else f", and {run} does not exist"  # noqa: PTH110 - any text
-        raise InputError(
-            f"is missing{gone}", where="--calibration", allowed="a file, with a run folder"
-        )
-    return calibration
 
 
 def _note_doubts(built: Reconstruction, rig: Rig) -> None:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from typer import Argument, Option
 
 from lscan.acquisition.run import open_run
-from lscan.cli.console import Json, Trust, note, progress_bar, require_folders, show, table
+from lscan.cli.console import Json, Trust, note, one_of, progress_bar, require_folders, show, table
 from lscan.cli.inputs import parse_numbers
 from lscan.errors import InputError
 from lscan.files.disk import write_json
@@ -39,8 +39,7 @@ def compare(
 ) -> None:
     """Compare a surface with a mesh: the signed distances of its points."""
     require_folders(output, points, histogram)
-    if unit not in MM_PER_UNIT:
-        raise InputError("no such unit", where="--unit", value=unit, allowed=", ".join(MM_PER_UNIT))
+    one_of(unit, MM_PER_UNIT, "--unit", "no such unit")
     if not (np.isfinite(within) and within > 0):
         raise InputError("is not a distance", where="--within", value=within, allowed="> 0 mm")
     if not np.isfinite(turn):

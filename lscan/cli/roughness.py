@@ -78,7 +78,7 @@ def roughness(
     if rig is None:
         response = _stated_response(scanned, sheet, blur, pixel)
     elif sheet or blur or pixel:
-        raise InputError("gives sheet, blur and pixel itself", where="--rig", value=rig)
+        raise InputError("gives sheet, blur and pixel itself", where="--rig", value=str(rig))
     else:
         response = rough.response_of(load_rig(rig).rig, scanned, peak)
     response = replace(response, cell_cm=(cell or 0.0) / MM_PER_CM)

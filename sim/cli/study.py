@@ -18,7 +18,7 @@ from lscan.cli.console import (
 )
 from lscan.config.scenes import scenes_folder
 from sim.cli.arguments import STUDIES, OutputFolder, ScenesFolder, one_process, require_workers
-from sim.studies.budget import CauseBudget, DesignTrial, OutputBudget
+from sim.studies.budget import DesignTrial, OutputBudget
 from sim.studies.indices import Bounded
 from sim.studies.page import figure, kept, largest
 from sim.studies.results import as_document
@@ -84,14 +84,19 @@ def _budget_tables(outputs: tuple[OutputBudget, ...]) -> Iterator[str | Table]:
     for budget in (output for output in outputs if output.places > 1):
         again = {cause.cause: cause for cause in budget.after.causes} if budget.after else {}
         headings = ["cause", f"alone, {budget.unit}", "first index", "total index"]
+        most_first = sorted(
+            budget.causes,
+            key=lambda one: one.alone_rms.value if one.alone_rms else 0.0,
+            reverse=True,
+        )
         cells = [
-            [cause.cause, _shown(cause.alone_rms), _percent(cause.first), _percent(cause.total)]
-            for cause in sorted(budget.causes, key=_alone, reverse=True)
+            [one.cause, _with_interval(one.alone_rms), _percent(one.first), _percent(one.total)]
+            for one in most_first
         ]
         if again:  # where anything drifts
             headings.append("alone, recalibrated")
             for row in cells:
-                row.append(_shown(again[row[0]].alone_rms))
+                row.append(_with_interval(again[row[0]].alone_rms))
         yield table(f"{budget.name}: rms {_rms(budget)}", headings, cells)
     headings = ["quantity", "rms error", "most of its variance", "total index"]
     cells = []
@@ -112,28 +117,23 @@ def _front_lines(trials: tuple[DesignTrial, ...]) -> Iterator[str | Table]:
     best.sort(key=lambda one: float(next(iter(one[1].objectives.values())) or 0.0))
     headings = ["design", *best[0][1].objectives, "same rigs", "rendered", "parts", "status"]
     cells = [
-        [number]
-        + [v if isinstance(v, str) else figure(v) for v in trial.objectives.values()]
-        + [figure(trial.predicted_mm)]
-        + [_shown(trial.rendered_mm), ", ".join(map(str, trial.parts.values())), trial.status]
+        [number, *(v if isinstance(v, str) else figure(v) for v in trial.objectives.values()),
+         figure(trial.predicted_mm), _with_interval(trial.rendered_mm),
+         ", ".join(map(str, trial.parts.values())), trial.status]
         for number, trial in best
-    ]
+    ]  # fmt: skip
     yield table(f"front of {len(trials)} designs", headings, cells)
-
-
-def _alone(cause: CauseBudget) -> float:
-    return cause.alone_rms.value if cause.alone_rms else 0.0
 
 
 def _rms(budget: OutputBudget) -> str:
     """What the error is in all, recalibrated, and with no cause at work."""
-    words = f"{_shown(budget.rms)} {budget.unit}"
+    words = f"{_with_interval(budget.rms)} {budget.unit}"
     if budget.after:
-        words += f"; recalibrated {_shown(budget.after.rms)}"
+        words += f"; recalibrated {_with_interval(budget.after.rms)}"
     return words if budget.base_rms is None else f"{words}; without causes {budget.base_rms:.2g}"
 
 
-def _shown(bounded: Bounded | None) -> str:
+def _with_interval(bounded: Bounded | None) -> str:
     """A figure with its interval, "" where there is none."""
     return "" if bounded is None else f"{bounded.value:.3g} ± {bounded.half_width:.1g}"
 
