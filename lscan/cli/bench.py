@@ -102,7 +102,7 @@ def _judge_drawn(
     show(done.content, *lines, files, json=json)
     if done.failed:
         rows = len(done.extractors) + len(done.maps)
-        print(f"lscan: {done.failed} of {rows} rows out of their limits", file=sys.stderr)
+        print(f"lscan: {done.failed} of {rows} rows are outside their limits", file=sys.stderr)
         raise typer.Exit(1)
 
 

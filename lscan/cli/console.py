@@ -366,8 +366,7 @@ MAPS = (
     "refractive"
 )
 Trust = Annotated[
-    bool,
-    typer.Option("--trust", help="Run the extractor code that a run folder names."),
+    bool, typer.Option("--trust", help="Run the extractor code that a run folder names.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 

@@ -141,8 +141,8 @@ def _track_lines(trial: TrackTrial) -> Iterator[str | Table]:
         ],
     )
     yield (
-        f"{len(trial.moves)} moves, the longest took {longest_s:.2f} s; steps that a motor lost "
-        "show only on a scale"
+        f"{len(trial.moves)} moves, the longest took {longest_s:.2f} s; steps that the motor lost "
+        "can be seen on a scale only"
     )
 
 
@@ -162,10 +162,10 @@ def _camera_lines(camera: CameraTrial) -> Iterator[str | Table]:
     )
     if camera.delay is not None:
         yield (
-            f"delay: the laser's switching is shown after {camera.delay.longest_ms:.0f} ms at most "
-            f"(median {camera.delay.median_ms:.0f} of {camera.delay.switches}); no older picture "
-            f"is taken with camera.options.flush_ms = {camera.delay.flush_ms}, which has the "
-            "longest time between two pictures for a margin"
+            f"delay: pictures show the laser's switching after {camera.delay.longest_ms:.0f} ms at "
+            f"most (median {camera.delay.median_ms:.0f} of {camera.delay.switches}); with "
+            f"camera.options.flush_ms = {camera.delay.flush_ms}, which includes the longest time "
+            "between two pictures as a margin, no older picture is taken"
         )
     if camera.dark_dn is not None:
         yield f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typer import Argument, Option
 
 from lscan.cli.console import Json, keep_notes_when_stopped, note, one_of, progress_bar, show
-from sim.cli.arguments import MOST_WORKERS, OutputFolder, one_process, require_workers, show_places
+from sim.cli.arguments import MOST_WORKERS, OutputFolder, show_places, worker_processes
 from sim.datasets.dataset import make_dataset
 from sim.datasets.datasetshards import ENDINGS
 from sim.datasets.datasetspec import load_dataset_spec
@@ -26,7 +26,7 @@ def dataset(
     json: Json = False,
 ) -> None:
     """Render labelled pictures of scenes drawn from distributions over any key."""
-    how, shards = one_process(processes) or workers, one_of(form, ENDINGS, "--format")
+    how, shards = worker_processes(workers, processes), one_of(form, ENDINGS, "--format")
     with keep_notes_when_stopped(), progress_bar("pictures") as progress:
         manifest = make_dataset(
             load_dataset_spec(spec), output, count, form=shards, workers=how,
@@ -51,7 +51,7 @@ def make_suite(
     """Render a suite, or resume one that was interrupted; lscan bench --suite judges by it."""
     from sim.datasets import suite  # loads Mitsuba
 
-    require_workers(workers)
+    worker_processes(workers)
     loaded = suite.load_suite_spec(spec, seed)
     own = "" if loaded.seed == loaded.file.seed else f"-seed-{loaded.seed}"
     with progress_bar("cases") as progress:

@@ -17,7 +17,7 @@ from lscan.cli.console import (
     table,
 )
 from lscan.config.scenes import scenes_folder
-from sim.cli.arguments import STUDIES, OutputFolder, ScenesFolder, one_process, require_workers
+from sim.cli.arguments import STUDIES, OutputFolder, ScenesFolder, worker_processes
 from sim.studies.budget import DesignTrial, OutputBudget
 from sim.studies.indices import Bounded
 from sim.studies.page import figure, kept, largest
@@ -43,10 +43,9 @@ def study(
     from sim.studies.run.running import StudyOptions  # loads Mitsuba
     from sim.studies.study import run_study
 
-    alone = one_process(processes)
+    how = worker_processes(workers, processes)
     instead = one_of(tier, get_args(Tier), "--tier") if tier else None
-    require_workers(workers)
-    options = StudyOptions(alone or workers, scheduler, at_most, instead, resume)
+    options = StudyOptions(how, scheduler, at_most, instead, resume)
     with keep_notes_when_stopped(), progress_bar("runs") as progress:
         found = run_study(file, output, options, progress=progress, say=note)
     lines = [*_budget_tables(found.outputs), *found.notes]
