@@ -19,7 +19,7 @@ from lscan.calibration.metric import solve as metric
 from lscan.calibration.metric.views import FittedView, load_views, read_views, write_overlays
 from lscan.camera.posedboards import CAMERA
 from lscan.cli.console import MAPS, Json, Trust, note, progress_bar, require_folders, show, table
-from lscan.cli.inputs import board_picture, open_calibrated, parse_corrections, parse_seeds
+from lscan.cli.inputs import open_calibrated, parse_corrections, read_board_picture
 from lscan.config.board import Board
 from lscan.config.documents import check as check_section, read_document
 from lscan.config.rig import inline_board
@@ -53,16 +53,17 @@ def calibrate(
 ) -> None:
     """Find the board's control points in a picture and solve a plane map from them."""
     require_folders(output, overlay)
-    given = board_picture(picture, board, optics, trust)
-    name = given.calibration.plane_map if plane_map is None else plane_map
-    reading = given.read(parse_seeds(seeds), channel)
+    reading, image, section, water = read_board_picture(
+        picture, board, optics, seeds, channel, trust
+    )
+    name = section.plane_map if plane_map is None else plane_map
     if overlay:
-        write_picture(overlay, draw_overlay(given.image, reading))
+        write_picture(overlay, draw_overlay(image, reading))
     with progress_bar("maps") as progress:
         if name == "auto":
-            calibration = calibrate_best(reading, given.optics, progress)
+            calibration = calibrate_best(reading, water, progress)
         else:
-            calibration = solve(reading, name, given.optics)
+            calibration = solve(reading, name, water)
     files.save_calibration(output, calibration)
     content, words = _as_json(calibration), _calibration_words(calibration, output)
     show({"calibration": output, **content}, *words, json=json)
@@ -92,8 +93,7 @@ def check(
     if asked and update is None:
         raise typer.BadParameter("--correct needs --update FILE")
     loaded = files.load_any(calibration)
-    given = board_picture(picture, board, optics, trust)
-    reading, water = given.read(parse_seeds(seeds), channel), given.optics
+    reading, _, _, water = read_board_picture(picture, board, optics, seeds, channel, trust)
     found = checking.check_calibration(loaded, reading, level, placed, water)
     kinds = asked or checking.proposed(found)
     if update is not None and kinds:

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -16,7 +16,7 @@ from lscan.calibration.calibrationfile import load_plane_map
 from lscan.calibration.check import CorrectionKind, carried
 from lscan.calibration.planemap import PlaneMap
 from lscan.cli.console import note, one_of
-from lscan.config.board import Board, load_board
+from lscan.config.board import load_board
 from lscan.config.documents import check, read_document
 from lscan.config.rig import CalibrationSection, OpticsSection, Rig
 from lscan.errors import InputError
@@ -78,60 +78,55 @@ def parse_corrections(words: Sequence[str] | None) -> tuple[CorrectionKind, ...]
     return tuple(kind for kind in allowed if kind in kinds)
 
 
-@dataclass(frozen=True)
-class BoardSource:
-    """The picture of a board, the board, how to calibrate with it, and what is known of the lens.
+def read_board_picture(
+    picture: Path,
+    board: Path | None,
+    optics: Path | None,
+    seeds: str | None,
+    channel: str | None,
+    trusted: bool,
+) -> tuple[BoardReading, Bytes, CalibrationSection, OpticsSection]:
+    """The marks of a board, the picture that shows them, how to calibrate by it, and its optics.
 
-    image: (H, W, 3) or (H, W) uint8.  run: whose mean picture it is, None of a picture file.
-    """
-
-    image: Bytes
-    board: Board
-    calibration: CalibrationSection
-    optics: OpticsSection
-    run: Run | None = None
-
-    def read(self, seeds: Floats | None, channel: str | None) -> BoardReading:
-        """The marks found; seeds: (3, 2) px; channel: in place of what the rig says.
-
-        A note names the dots that are not where the board file has them, and the rings of which
-        less than half of the smallest's points are.
-        """
-        section = self.calibration
-        if channel is not None:
-            section = check(CalibrationSection, {"channel": channel}, where=None, prefix="--")
-        with board_expected(self.run) if self.run is not None else nullcontext():
-            reading = read_board(self.image, self.board, seeds=seeds, channel=section.channel)
-        lost = [name for name, dot in reading.dots.items() if dot.status == Status.NOT_FOUND]
-        lost += [name for name, ring in reading.rings.items() if len(ring.sigma_px) < FEWEST / 2]
-        if lost:
-            where = "check that they are in view and clean, and their places in the board file"
-            note(f"not found where the board file has them: {', '.join(lost)}; {where}")
-        return reading
-
-
-def board_picture(
-    picture: Path, board: Path | None, optics: Path | None = None, trusted: bool = False
-) -> BoardSource:
-    """What a picture file or a run folder gives to calibrate from.
-
+    picture: a file, or a run folder, whose mean picture is taken.
     board, optics: files that stand in for what a run's rig file says; a picture file needs
-    the first.  trusted: as ``open_run``.
-    Raises InputError where one is missing or cannot be used.
+    the first.  seeds: as of ``parse_seeds``.  channel: in place of what the rig says.
+    trusted: as ``open_run``.
+    A note names the dots that are not where the board file has them, and the rings of which
+    less than half of the smallest's points are.
+    Raises InputError where a file is missing or cannot be used.
     """
+    section, known, run = CalibrationSection(), OpticsSection(), None
     if os.path.isdir(picture):  # noqa: PTH112 - takes any text
         run = open_run(picture, trusted)
         rig = run.rig_file.rig
+        section, known = rig.calibration, rig.optics
         nominal = load_board(board) if board else require_board(run.rig_file)
-        known = read_optics(optics) if optics else rig.optics
-        return BoardSource(mean_picture(run), nominal, rig.calibration, known, run)
-    if not os.path.exists(picture):  # noqa: PTH110 - takes any text
+    elif not os.path.exists(picture):  # noqa: PTH110 - takes any text
         allowed = "a picture file or a run folder"
         raise InputError("no such file or folder", where=picture, allowed=allowed)
-    if board is None:
+    elif board is None:
         raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
-    known, stored = read_optics(optics) if optics else OpticsSection(), read_as_stored(picture)
-    return BoardSource(stored, load_board(board), CalibrationSection(), known)
+    else:
+        nominal = load_board(board)
+    if optics is not None:
+        document = read_document(optics)  # it may be a whole rig file
+        if "optics" not in document:
+            raise InputError("has no section [optics]", where=optics)
+        known = check(OpticsSection, document["optics"], where=optics, prefix="optics")
+    image = read_as_stored(picture) if run is None else mean_picture(run)
+    colour = section.channel
+    if channel is not None:
+        colour = check(CalibrationSection, {"channel": channel}, where=None, prefix="--").channel
+    places = parse_seeds(seeds)
+    with nullcontext() if run is None else board_expected(run):
+        reading = read_board(image, nominal, seeds=places, channel=colour)
+    lost = [name for name, dot in reading.dots.items() if dot.status == Status.NOT_FOUND]
+    lost += [name for name, ring in reading.rings.items() if len(ring.sigma_px) < FEWEST / 2]
+    if lost:
+        where = "check that they are in view and clean, and their places in the board file"
+        note(f"not found where the board file has them: {', '.join(lost)}; {where}")
+    return reading, image, section, known
 
 
 def read_as_stored(path: Path) -> Bytes:
@@ -143,14 +138,6 @@ def read_as_stored(path: Path) -> Bytes:
             "seeds, parts and overlays"
         )
     return picture
-
-
-def read_optics(path: Path) -> OpticsSection:
-    """The section [optics] of a TOML file, which may be a whole rig file; InputError if none."""
-    document = read_document(path)
-    if "optics" not in document:
-        raise InputError("has no section [optics]", where=path)
-    return check(OpticsSection, document["optics"], where=path, prefix="optics")
 
 
 def plane_maps(
