@@ -5,24 +5,45 @@ import os
 # Before NumPy: its matrices here are small, and threads cost them more time than they save.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from lscan.cli.bench import bench, leaderboard, suite
-from lscan.cli.calibrate import calibrate, calibrate_metric, calibrate_shaft, check, draw_board
 from lscan.cli.console import before_any_command, command_line, run_program
-from lscan.cli.devices import devices
-from lscan.cli.extract import extract
-from lscan.cli.measure import compare, measure, reconstruct, report
-from lscan.cli.roughness import roughness
-from lscan.cli.scan import live, scan, scenes
+
+COMMANDS = {
+    "scan": "lscan.cli.scan:scan",
+    "calibrate": "lscan.cli.calibrate:calibrate",
+    "check": "lscan.cli.calibrate:check",
+    "extract": "lscan.cli.extract:extract",
+    "draw-board": "lscan.cli.calibrate:draw_board",
+    "reconstruct": "lscan.cli.measure:reconstruct",
+    "measure": "lscan.cli.measure:measure",
+    "compare": "lscan.cli.report:compare",
+    "report": "lscan.cli.report:report",
+    "roughness": "lscan.cli.roughness:roughness",
+    "calibrate-metric": "lscan.cli.calibrate:calibrate_metric",
+    "calibrate-shaft": "lscan.cli.calibrate:calibrate_shaft",
+    "scenes": "lscan.cli.scan:scenes",
+    "devices": "lscan.cli.devices:devices",
+    "bench": "lscan.cli.bench:bench",
+    "leaderboard": "lscan.cli.bench:leaderboard",
+    "live": "lscan.cli.scan:live",
+}
+SUITE_COMMANDS = {
+    "list": "lscan.cli.suite:list_suites",
+    "show": "lscan.cli.suite:show_suite",
+    "verify": "lscan.cli.suite:verify",
+    "wheel": "lscan.cli.suite:wheel",
+}
 
 app = command_line(
-    "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench, suite."
+    "Laser line scanner: scan, calibrate, reconstruct, measure, report, live, bench, suite.",
+    COMMANDS,
 )
 app.callback()(before_any_command)
-usual = (scan, calibrate, check, extract, draw_board, reconstruct, measure, compare, report)
-others = (roughness, calibrate_metric, calibrate_shaft, scenes, devices, bench, leaderboard, live)
-for command in (*usual, *others):
-    app.command()(command)
-app.add_typer(suite, name="suite")
+app.add_typer(
+    command_line(
+        "Suites of rendered pictures with their truth: list, show, verify, wheel.", SUITE_COMMANDS
+    ),
+    name="suite",
+)
 
 
 def main() -> None:

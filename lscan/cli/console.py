@@ -1,14 +1,18 @@
-"""What the two command lines share: one clear line for an error, progress bars, JSON, tables."""
+"""What the two command lines share: commands loaded when called, errors, bars, what is printed."""
 
+import ast
 import ctypes
 import errno
 import os
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections import UserDict
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from pkgutil import resolve_name
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
 from rich import progress as rich_progress
@@ -50,9 +54,10 @@ def keep_freed_memory() -> None:
     mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
 
 
-# What the two command lines share: one clear line for an error, progress bars, JSON, tables.
+# A command line: its commands, each loaded when it is called, and one clear line for an error.
 
 
+Named = TypeVar("Named", bound=str)
 FAILED, BAD_INPUT = 1, 2
 STOPPED = Stopped.exit_code
 _OUTPUT_FAILS = (errno.ENOSPC, errno.EIO, errno.EBADF)  # files that lscan writes are named
@@ -61,27 +66,55 @@ SAID_EVERY_S = 60.0  # of long work where no terminal shows a bar
 _bars: list[rich_progress.Progress] = []  # what draws all bars that there are: one or none
 
 
-class _WholeHelp(TyperGroup):
-    """Commands whose list says what each does, whole: click cuts it at the line's end."""
+class _Commands(UserDict[str, Any]):
+    """Commands by name; the place of one, ``module:function``, until it is asked for."""
 
-    def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the list; called by click."""
-        commands = [(name, self.get_command(ctx, name)) for name in self.list_commands(ctx)]
-        with formatter.section("Commands"):
-            formatter.write_dl(
-                [(name, one.get_short_help_str(limit=1000)) for name, one in commands if one]
-            )
+    def __getitem__(self, name: str) -> Any:
+        if isinstance(found := self.data[name], str):
+            alone = typer.Typer(add_completion=False, rich_markup_mode=None)
+            alone.command(name)(resolve_name(found))
+            self.data[name] = found = typer.main.get_command(alone)
+        return found
+
+    def about(self, name: str) -> str:
+        """What a command does, in a sentence; one that is not loaded is not loaded for it."""
+        if not isinstance(found := self.data[name], str):
+            return str(found.get_short_help_str(limit=1000))
+        module, _, function = found.partition(":")
+        package, _, stem = module.rpartition(".")
+        tree = ast.parse((resources.files(package) / f"{stem}.py").read_text(encoding="utf-8"))
+        parts = {part.name: part for part in tree.body if isinstance(part, ast.FunctionDef)}
+        first, *_ = (ast.get_docstring(parts[function]) or "").split("\n\n")
+        return " ".join(first.split())
 
 
-def command_line(about: str) -> typer.Typer:
-    """A command line without commands.
+def command_line(about: str, places: Mapping[str, str] | None = None) -> typer.Typer:
+    """A command line, whose ``--help`` says what each command does, whole: click cuts it.
 
     Parameters
     ----------
     about : str, what its ``--help`` begins with
+    places : mapping
+        Of each command's name, ``module:function``.  A module is loaded when one of its commands
+        is called, so that it may import what it needs at its top.
     """
+
+    class Group(TyperGroup):
+        """The commands at those places, and then those that typer was told of."""
+
+        commands: _Commands
+
+        def __init__(self, **settings: Any) -> None:
+            super().__init__(**settings)
+            self.commands = _Commands({**(places or {}), **self.commands})
+
+        def format_commands(self, ctx: Any, formatter: Any) -> None:
+            """Write the list; called by click."""
+            with formatter.section("Commands"):
+                formatter.write_dl([(name, self.commands.about(name)) for name in self.commands])
+
     return typer.Typer(
-        cls=_WholeHelp,
+        cls=Group,
         help=about,
         no_args_is_help=True,
         add_completion=False,
@@ -99,7 +132,7 @@ def _say_version(context: typer.Context, asked: bool) -> None:
 def before_any_command(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_say_version, is_eager=True, help="Say the version."),
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
     """The options of a program itself: its ``app.callback``.
@@ -124,6 +157,7 @@ def run_program(app: typer.Typer, name: str) -> None:
         ignore_stop_signals()
 
 
+@interrupted_by_signals()
 def run_command_line(app: typer.Typer, name: str) -> None:
     """Run a command line and leave with its exit code; errors become one line on stderr.
 
@@ -134,11 +168,6 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     app : Typer, the command line with its commands
     name : str, of the program, as errors and ``--help`` say it
     """
-    with interrupted_by_signals():
-        _run_command_line(app, name)
-
-
-def _run_command_line(app: typer.Typer, name: str) -> NoReturn:
     command = typer.main.get_command(app)
     keep_freed_memory()
     try:
@@ -231,7 +260,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
     ----------
     title : str, stands before the bar
     """
-    with nullcontext(_bars[0]) if _bars else _opened_bars() as bars:
+    with nullcontext(_bars[0]) if _bars else _open_bars() as bars:
         task = bars.add_task(title, total=None)
         said = time.monotonic()
 
@@ -250,7 +279,7 @@ def progress_bar(title: str) -> Iterator[Progress]:
 
 
 @contextmanager
-def _opened_bars() -> Iterator[rich_progress.Progress]:
+def _open_bars() -> Iterator[rich_progress.Progress]:
     console = Console(stderr=True)
     columns = (
         rich_progress.TextColumn("{task.description}", markup=False),
@@ -266,18 +295,27 @@ def _opened_bars() -> Iterator[rich_progress.Progress]:
             _bars.remove(bars)
 
 
-def print_json(value: object) -> None:
-    """Print a value as JSON on stdout.
+def show(content: object, *lines: str | Table, json: bool) -> None:
+    """Print what a command found on stdout.
 
     Parameters
     ----------
-    value : as of ``json_text``
+    content : as of ``json_text``, what is printed with --json
+    lines : what is printed without: text, and tables of ``table``
+    json : bool, whether --json was given
     """
-    print(json_text(value))
+    if json:
+        print(json_text(content))
+        return
+    for line in lines:
+        if isinstance(line, str):
+            print(line)
+        else:
+            Console(width=None if sys.stdout.isatty() else 160).print(line)
 
 
-def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-    """Print a table on stdout; numbers right-aligned, floats with three decimals, NaN as a dash.
+def table(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> Table:
+    """A table for ``show``: numbers right-aligned, floats with three decimals, NaN as a dash.
 
     What strangers' files put into it is shown as it is: brackets are no markup.
 
@@ -287,26 +325,18 @@ def print_table(title: str, headings: Sequence[str], rows: Sequence[Sequence[obj
     headings : sequence, one a column; the first column is left-aligned
     rows : sequence, cells, one a column
     """
-    table = Table(title=Text(printable(title)), title_justify="left", header_style="bold")
+    found = Table(title=Text(printable(title)), title_justify="left", header_style="bold")
     for heading in headings:
-        table.add_column(Text(heading), justify="left" if heading == headings[0] else "right")
+        found.add_column(Text(heading), justify="left" if heading == headings[0] else "right")
     for row in rows:
-        table.add_row(*map(_cell, row))
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
-
-
-def _cell(value: object) -> Text:
-    text = f"{value:.3f}" if isinstance(value, float) else printable(str(value))
-    return Text("–" if text in ("nan", "+nan") else text)
+        texts = [f"{one:.3f}" if isinstance(one, float) else printable(str(one)) for one in row]
+        found.add_row(*(Text("–" if text in ("nan", "+nan") else text) for text in texts))
+    return found
 
 
 # The arguments that several commands take, and what is checked of them before any work.
 
 
-RigOrScene = Annotated[
-    Path, typer.Argument(help="Rig file or scene file (TOML), or a scene's name.")
-]
-PictureOrRun = Annotated[Path, typer.Argument(help="Picture file or run folder.")]
 EXTRACTORS = (
     "max, centroid, centroid-relative, centroid-squared, gaussian, ml, blais-rioux, smoothed-peak, "
     "steger; or package.module:function."
@@ -315,27 +345,26 @@ MAPS = (
     "graticule-1, -2, -bspline, each also with -norulers; polynomial-1 to -9; projective, spline, "
     "refractive"
 )
-ChannelName = Annotated[str | None, typer.Option("--channel", help="red, green, blue or grey.")]
-Overlay = Annotated[
-    Path | None,
-    typer.Option("--overlay", help="Write the picture with what was found drawn on it."),
-]
-RunFolder = Annotated[Path, typer.Argument(help="Run folder.")]
-CalibrationFile = Annotated[
-    Path, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
-]
-ShaftFile = Annotated[
-    Path | None,
-    typer.Option("--shaft", help="TOML file with the [shaft] found; a run folder has its own."),
-]
-AlignmentFile = Annotated[
-    Path | None,
-    typer.Option("--alignment", help="Alignment kept from a scan of the block (JSON)."),
-]
 Trust = Annotated[
-    bool, typer.Option("--trust", help="Run the code that a run folder names as its extractor.")
+    bool, typer.Option("--trust", help="Run the extractor code that a run folder names.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def one_of(value: str, known: Collection[Named], where: str, fault: str = "not known") -> Named:
+    """What is known by the name that an option was given; InputError where nothing is.
+
+    Parameters
+    ----------
+    value : str, as given
+    known : collection of str
+    where : str, the option
+    fault : str, what the message says of another name
+    """
+    for one in known:
+        if one == value:
+            return one
+    raise InputError(fault, where=where, value=value, allowed=", ".join(known))
 
 
 def require_folders(*outputs: Path | None) -> None:

@@ -1,157 +1,138 @@
 """The command ``lscan devices``: a thin face over lscan.devices.listing and .trials."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
 import typer
+from rich.table import Table
+from typer import Argument, Option
 
-from lscan.cli.console import Json, print_json, print_table, progress_bar
-
-if TYPE_CHECKING:
-    from lscan.config.rig import RigFile
-    from lscan.devices.api import Camera, Fact
-    from lscan.devices.photontransfer import PhotonTransfer
-    from lscan.devices.trials import CameraTrial, TrackTrial
-    from lscan.records import Bytes
+from lscan.acquisition.scan import open_devices
+from lscan.cli.console import Json, progress_bar, show, table
+from lscan.config.rig import RigFile, load_rig
+from lscan.devices.api import Fact, LaserSwitch
+from lscan.devices.listing import drivers, rig_devices, serial_ports, video_devices
+from lscan.devices.photontransfer import PhotonTransfer
+from lscan.devices.trials import (
+    BlackAccepting,
+    CameraTrial,
+    TrackTrial,
+    grab_series,
+    try_camera,
+    try_track,
+)
+from lscan.errors import InputError
 
 
 def devices(
-    rig: Annotated[
-        Path | None, typer.Argument(help="Rig file or scene file (TOML): what its devices can do.")
-    ] = None,
-    test: Annotated[
-        bool, typer.Option("--test", help="Take pictures and move the track by 1 mm to and fro.")
-    ] = False,
-    dark: Annotated[
-        bool, typer.Option("--dark", help="Ask for the cap on the lens, and measure the dark too.")
-    ] = False,
-    pictures: Annotated[int, typer.Option(min=4, help="Pictures at each exposure time.")] = 16,
-    approaches: Annotated[
-        int, typer.Option(min=2, help="Moves to one place from either side.")
-    ] = 5,
+    rig: Path | None = Argument(
+        None, help="Rig file or scene file (TOML) whose devices are described or tried out."
+    ),
+    test: bool = Option(
+        False, "--test", help="Take pictures, and move the track back and forth by 1 mm."
+    ),
+    dark: bool = Option(
+        False, "--dark", help="Measure dark pictures as well; asks you to put the cap on the lens."
+    ),
+    pictures: int = Option(16, min=4, help="Pictures at each exposure time."),
+    approaches: int = Option(5, min=2, help="Moves to the same place from each side."),
     json: Json = False,
 ) -> None:
     """List cameras, serial ports and drivers; with --test, try out a rig's camera and track.
 
-    For RIG it also lists what its devices can do, as known to their drivers without opening them.
-    For --test show the camera a still, evenly lit scene with bright and dark parts, and keep the
-    track's way clear by 2 mm, all of it where the track homes when it is opened.  The laser is
+    With RIG, also list what its devices can do, as far as their drivers know without opening them.
+    For --test, show the camera a still, evenly lit scene with bright and dark parts, and keep 2 mm
+    of the track's way clear, or all of it if the track homes when it is opened.  The laser is
     switched on and off if the plan switches it.
     """
-    from lscan.config.rig import load_rig
-    from lscan.errors import InputError
-
     rig_file = None if rig is None else load_rig(rig)
     if not (test or dark):
-        listing = _listing(rig_file)
-        print_json(listing) if json else _print_listing(listing)
+        listing: dict[str, Any] = {
+            "cameras": video_devices(), "serial_ports": serial_ports(), "drivers": drivers()
+        }  # fmt: skip
+        if rig_file is not None:
+            listing["rig"] = rig_devices(rig_file)
+        show(listing, *_listing_lines(listing), json=json)
         return
     if rig_file is None:
         raise InputError("needs a rig file: lscan devices RIG --test", where="--test")
-    camera, track = _try(rig_file, pictures, approaches, dark)
-    if json:
-        print_json(_trial_json(camera, track))
-    else:
-        _print_track(track)
-        _print_camera(camera)
+    camera, track = _try_devices(rig_file, pictures, approaches, dark)
+    content = {"camera": _camera_json(camera), "track": track}
+    show(content, *_track_lines(track), *_camera_lines(camera), json=json)
 
 
-def _listing(rig_file: RigFile | None) -> dict[str, Any]:
-    from lscan.devices.listing import drivers, rig_devices, serial_ports, video_devices
-
-    listing = {"cameras": video_devices(), "serial_ports": serial_ports(), "drivers": drivers()}
-    return listing if rig_file is None else {**listing, "rig": rig_devices(rig_file)}
-
-
-def _print_listing(listing: dict[str, Any]) -> None:
+def _listing_lines(listing: dict[str, Any]) -> Iterator[str | Table]:
     if listing["cameras"]:
         rows = [
-            [
-                camera.device,
-                camera.state,
-                _size(camera.size_px),
-                camera.pixel_format or "",
-                ", ".join(map(_size, camera.sizes_px)),
-            ]
-            for camera in listing["cameras"]
-        ]
-        print_table("cameras", ["device", "state", "now", "format", "sizes"], rows)
+            [one.device, one.state, _size(one.size_px), one.pixel_format or "",
+             ", ".join(map(_size, one.sizes_px))]
+            for one in listing["cameras"]
+        ]  # fmt: skip
+        yield table("cameras", ["device", "state", "now", "format", "sizes"], rows)
         for name, camera in sorted((n, each) for each in listing["cameras"] for n in each.by_id):
-            print(f"{camera.device} is also {name}, whatever its number becomes")
+            yield f"{camera.device} is also {name}, whatever its number becomes"
     else:
-        print("cameras: none found")
+        yield "cameras: none found"
     ports = listing["serial_ports"]
     if ports:
         rows = [[port.device, port.description] for port in ports]
-        print_table("serial ports", ["device", "what it says of itself"], rows)
+        yield table("serial ports", ["device", "description"], rows)
     else:
-        print("serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here"))
+        yield "serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here")
     rows = [[driver.name, driver.kind, driver.does] for driver in listing["drivers"]]
-    print_table("drivers", ["name", "of a", "what it drives"], rows)
+    yield table("drivers", ["name", "kind", "what it drives"], rows)
     for kind, facts in listing.get("rig", {}).items():
-        _print_facts(f"the rig's {kind}", facts)
+        yield _facts_table(f"the rig's {kind}", facts)
 
 
 def _size(size_px: tuple[int, int] | None) -> str:
     return "" if size_px is None else f"{size_px[0]}x{size_px[1]}"
 
 
-def _try(
+def _try_devices(
     rig_file: RigFile, pictures: int, approaches: int, dark: bool
 ) -> tuple[CameraTrial, TrackTrial]:
     """Open the rig's devices and try them out; the cap first, where the dark is wanted."""
-    from lscan.acquisition.scan import open_devices
-    from lscan.devices.api import LaserSwitch
-    from lscan.devices.trials import try_camera, try_track
-
-    channel = rig_file.rig.stripe.colour
-    dark_pictures = _dark_pictures(rig_file, pictures) if dark else None
+    channel, dark_pictures = rig_file.rig.stripe.colour, None
+    if dark:
+        # The prompts are on stderr, since stdout may be for JSON.
+        ask = partial(typer.prompt, default="", show_default=False, err=True)
+        ask("put the cap on the lens, then press Enter")
+        with open_devices(rig_file) as (camera, _):
+            if isinstance(camera, BlackAccepting):
+                camera.accept_black()
+            dark_pictures, _ = grab_series(camera, pictures, channel)
+        ask("take the cap off, then press Enter")
     with open_devices(rig_file) as (camera, track):
         # The track first: what is wrong with it is known before the many pictures are taken.
         with progress_bar("moves") as report:
-            moved = try_track(track, approaches, progress=report)
+            track_trial = try_track(track, approaches, progress=report)
         may_light = rig_file.rig.plan.laser != "untouched"
         laser = track if may_light and isinstance(track, LaserSwitch) else None
         with progress_bar("pictures") as report:
-            return try_camera(camera, pictures, channel, dark_pictures, report, laser), moved
+            return try_camera(camera, pictures, channel, dark_pictures, report, laser), track_trial
 
 
-def _dark_pictures(rig_file: RigFile, pictures: int) -> Bytes:
-    """Pictures taken with the cap on; the prompts are on stderr, since stdout may be for JSON."""
-    from lscan.acquisition.scan import open_devices
-    from lscan.devices.trials import BlackAccepting, grab_series
-
-    ask = partial(typer.prompt, default="", show_default=False, err=True)
-    ask("put the cap on the lens, then press Enter")
-    with open_devices(rig_file) as (camera, _):
-        opened: Camera = camera
-        if isinstance(opened, BlackAccepting):
-            opened.accept_black()
-        series, _ = grab_series(camera, pictures, rig_file.rig.stripe.colour)
-    ask("take the cap off, then press Enter")
-    return series
+def _camera_json(trial: CameraTrial) -> dict[str, Any]:
+    """What a camera showed, as --json prints it."""
+    content = {**asdict(trial), "rig_section": trial.noise_section}
+    content["settings"] = [{**asdict(each), "obeyed": each.obeyed} for each in trial.settings]
+    if trial.transfer is not None:
+        content["transfer"]["read_is_rounding"] = trial.transfer.read_is_rounding
+    return content
 
 
-def _trial_json(camera: CameraTrial, track: TrackTrial) -> dict[str, Any]:
-    content = {**asdict(camera), "rig_section": camera.noise_section}
-    content["settings"] = [{**asdict(each), "obeyed": each.obeyed} for each in camera.settings]
-    if camera.transfer is not None:
-        content["transfer"]["read_is_rounding"] = camera.transfer.read_is_rounding
-    return {"camera": content, "track": track}
-
-
-def _print_track(trial: TrackTrial) -> None:
+def _track_lines(trial: TrackTrial) -> Iterator[str | Table]:
     if trial.facts:
-        _print_facts("the track says", trial.facts)
+        yield _facts_table("the track says", trial.facts)
     found = trial.repeatability
     longest_s = max(move.time_s for move in trial.moves)
-    print_table(
+    yield table(
         f"track at {found.place_mm:g} mm, {found.approaches} approaches from either side",
-        ["position as it reports it", "mm"],
+        ["reported position", "mm"],
         [
             ["mean, less what was asked", f"{found.deviation_mm:.4f}"],
             ["standard deviation after approaches from below", f"{found.upward_sigma_mm:.4f}"],
@@ -159,64 +140,60 @@ def _print_track(trial: TrackTrial) -> None:
             ["mean from below, less mean from above", f"{found.reversal_mm:.4f}"],
         ],
     )
-    print(
-        f"{len(trial.moves)} moves, the longest took {longest_s:.2f} s; steps that a motor lost "
-        "show only on a scale"
+    yield (
+        f"{len(trial.moves)} moves, the longest took {longest_s:.2f} s; steps that the motor lost "
+        "can be seen on a scale only"
     )
 
 
-def _print_camera(camera: CameraTrial) -> None:
+def _camera_lines(camera: CameraTrial) -> Iterator[str | Table]:
+    """What a camera showed, for ``show``."""
     if camera.settings:
         rows = [
-            [
-                setting.name,
-                setting.asked,
-                "nothing" if setting.got is None else setting.got,
-                "yes" if setting.obeyed else "no",
-            ]
-            for setting in camera.settings
-        ]
-        print_table("camera settings", ["setting", "asked", "reported", "obeyed"], rows)
+            [one.name, one.asked, "nothing" if one.got is None else one.got,
+             "yes" if one.obeyed else "no"]
+            for one in camera.settings
+        ]  # fmt: skip
+        yield table("camera settings", ["setting", "asked", "reported", "obeyed"], rows)
     timing = camera.timing
-    print(
+    yield (
         f"timing: {timing.rate_hz:.2f} pictures/s, jitter {timing.jitter_ms:.2f} ms, "
         f"latency {timing.latency_ms:.1f} ms"
     )
     if camera.delay is not None:
-        print(
-            f"delay: the laser's switching is shown after {camera.delay.longest_ms:.0f} ms at most "
-            f"(median {camera.delay.median_ms:.0f} of {camera.delay.switches}); no older picture "
-            f"is taken with camera.options.flush_ms = {camera.delay.flush_ms}, which has the "
-            "longest time between two pictures for a margin"
+        yield (
+            f"delay: pictures show the laser's switching after {camera.delay.longest_ms:.0f} ms at "
+            f"most (median {camera.delay.median_ms:.0f} of {camera.delay.switches}); with "
+            f"camera.options.flush_ms = {camera.delay.flush_ms}, which includes the longest time "
+            "between two pictures as a margin, no older picture is taken"
         )
     if camera.dark_dn is not None:
-        print(f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN")
+        yield f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN"
     if camera.linearity is not None:
-        print(f"linearity: error {camera.linearity.error_percent:.2f} % (5 to 95 % of the range)")
-    for remark in camera.remarks:
-        print(remark)
+        yield f"linearity: error {camera.linearity.error_percent:.2f} % (5 to 95 % of the range)"
+    yield from camera.remarks
     if camera.transfer is not None:
-        _print_noise(camera.transfer)
-    for doubt in camera.doubts:
-        print(doubt)
+        yield _transfer_line(camera.transfer)
+    yield from camera.doubts
     section = camera.noise_section
-    print(f"\nfor the rig file:\n\n{section}" if section else "no [stripe.noise] to rely on")
+    yield f"\nfor the rig file:\n\n{section}" if section else "no [stripe.noise] to rely on"
 
 
-def _print_noise(transfer: PhotonTransfer) -> None:
+def _transfer_line(transfer: PhotonTransfer) -> str:
+    """What the photon transfer of a camera is, in words."""
     read = f"{transfer.read_dn:.3f} ± {transfer.read_sigma_dn:.3f} DN"
     if transfer.read_is_rounding:
         # The noise of rounding is a floor, not a figure of this camera.
         read = f"at most {transfer.read_at_most_dn:.3f} DN (rounding makes {transfer.read_dn:.3f})"
-    print(
+    return (
         f"photon transfer: read noise {read}, "
         f"gain {transfer.dn_per_electron:.4f} ± {transfer.gain_sigma:.4f} DN per electron, "
         f"chi² {transfer.chi2:.2f} per degree of freedom (about 1 for a linear camera)"
     )
 
 
-def _print_facts(title: str, facts: dict[str, Fact]) -> None:
-    print_table(title, ["", ""], [[name, _in_words(fact)] for name, fact in facts.items()])
+def _facts_table(title: str, facts: dict[str, Fact]) -> Table:
+    return table(title, ["", ""], [[name, _in_words(fact)] for name, fact in facts.items()])
 
 
 def _in_words(fact: Fact) -> str:

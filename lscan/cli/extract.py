@@ -1,29 +1,27 @@
 """The command ``lscan extract``: a thin face over lscan.stripe."""
 
-from __future__ import annotations
-
 import os
-from functools import partial
+from functools import partial, reduce
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import typer
+import numpy as np
+from typer import Argument, Option
 
-from lscan.cli.console import (
-    EXTRACTORS,
-    Json,
-    Overlay,
-    PictureOrRun,
-    Trust,
-    note,
-    print_json,
-    require_folders,
-)
-
-if TYPE_CHECKING:
-    from lscan.config.rig import Rig, StripeSection
-    from lscan.records import Bytes, Ints, Mask, PlanePoints, Stripe
-
+from lscan.acquisition.run import open_run
+from lscan.cli.console import EXTRACTORS, Json, Trust, note, one_of, require_folders, show
+from lscan.cli.inputs import picture_part, plane_maps, read_as_stored
+from lscan.config.documents import check
+from lscan.config.rig import Rig, StripeSection
+from lscan.errors import InputError
+from lscan.files.pictures import read_picture, write_picture
+from lscan.records import Bytes, Ints, Mask, PlanePoints, Status, Stripe, has_value, status_counts
+from lscan.stripe import draw_stripe, extract_stripe, save_stripe
+from lscan.stripe.extract import extract_within, told_apart
+from lscan.stripe.peaks import FWHM, line_width
+from lscan.stripe.picture import lines_of
+from lscan.surface.surface import to_profile
 
 BOTH = "both"
 RETURNS = ("brightest", "first", "last", BOTH)
@@ -31,93 +29,68 @@ BY_SPAN = ("max", "centroid", "centroid-relative")  # extractors that see span_p
 
 
 def extract(
-    picture: PictureOrRun,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="CSV table to write.")
-    ] = None,
-    calibration: Annotated[
-        list[Path] | None,
-        typer.Option("--calibration", "-c", help="Calibration file (JSON): points in mm as well."),
-    ] = None,
-    background: Annotated[
-        Path | None, typer.Option(help="The same view with the laser off.")
-    ] = None,
-    frame: Annotated[int, typer.Option(help="Which frame of a run folder.")] = 0,
-    axis: Annotated[str | None, typer.Option(help="columns, or rows for an upright line.")] = None,
-    extractor: Annotated[str | None, typer.Option(help=EXTRACTORS)] = None,
-    channel: Annotated[
-        str | None,
-        typer.Option(
-            help="red, green, blue, grey; red-, green-, blue-, cyan-, magenta-excess; auto, as of "
-            "a single picture."
-        ),
-    ] = None,
-    threshold: Annotated[
-        float | None,
-        typer.Option("--threshold-dn", "--threshold", help="Least height of the line, DN."),
-    ] = None,
-    span: Annotated[
-        int | None, typer.Option("--span-px", "--span", help="Pixels either side of the peak.")
-    ] = None,
-    returns: Annotated[
-        str | None,
-        typer.Option(help="Of several lines: brightest, first, last; both, of two lasers."),
-    ] = None,
-    roi: Annotated[
-        str | None, typer.Option(help="u0,v0,u1,v1: corners of the part to look in, px.")
-    ] = None,
-    mask: Annotated[
-        Path | None, typer.Option(help="Picture, white where the line may lie, black elsewhere.")
-    ] = None,
-    overlay: Overlay = None,
+    picture: Path = Argument(help="Picture file or run folder."),
+    output: Path | None = Option(None, "--output", "-o", help="CSV table to write."),
+    calibration: list[Path] | None = Option(
+        None, "--calibration", "-c", help="Calibration file (JSON): points in mm as well."
+    ),
+    background: Path | None = Option(None, help="Picture of the same view with the laser off."),
+    frame: int = Option(0, help="Number of the frame in a run folder."),
+    axis: str | None = Option(None, help="columns, or rows if the line is upright."),
+    extractor: str | None = Option(None, help=f"Extractor: {EXTRACTORS}"),
+    channel: str | None = Option(
+        None,
+        help="red, green, blue, grey; red-, green-, blue-, cyan-, magenta-excess; auto, as for "
+        "a single picture.",
+    ),
+    threshold: float | None = Option(
+        None, "--threshold-dn", "--threshold", help="Least height of the line above the ground, DN."
+    ),
+    span: int | None = Option(
+        None, "--span-px", "--span", help="Pixels on either side of the peak."
+    ),
+    returns: str | None = Option(
+        None, help="Which of several lines: brightest, first or last; both, for two lasers."
+    ),
+    roi: str | None = Option(None, help="Part to search, by its corners: u0,v0,u1,v1 in px."),
+    mask: Path | None = Option(
+        None, help="Picture, white where the line may lie, black elsewhere."
+    ),
+    overlay: Path | None = Option(None, help="Picture to write, with what was found drawn on it."),
     trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Find the laser line in one picture."""
-    from lscan.cli.inputs import picture_part, plane_maps
-    from lscan.config.documents import check
-    from lscan.config.rig import StripeSection
-    from lscan.errors import InputError
-    from lscan.files.pictures import write_picture
-    from lscan.records import Status, has_value
-    from lscan.stripe import draw_stripe, save_stripe
-    from lscan.surface.surface import to_profile
-
     require_folders(output, overlay)
-    image, dark, rig = _pictures(picture, frame, background, trust)
+    image, dark, rig = _read_pictures(picture, frame, background, trust)
     usual = StripeSection(channel="auto") if rig is None else rig.stripe
     given = {
-        "axis": axis,
-        "extractor": extractor,
-        "channel": channel,
-        "threshold_dn": threshold,
-        "span_px": span,
-        "returns": None if returns == BOTH else returns,
-    }
-    if returns not in (None, *RETURNS):
-        allowed = ", ".join(RETURNS)
-        raise InputError("names no line", where="--returns", value=returns, allowed=allowed)
+        "axis": axis, "extractor": extractor, "channel": channel, "threshold_dn": threshold,
+        "span_px": span, "returns": None if returns == BOTH else returns,
+    }  # fmt: skip
+    if returns is not None:
+        one_of(returns, RETURNS, "--returns", "names no line")
     changes = {key: value for key, value in given.items() if value is not None}
     settings = check(StripeSection, {**usual.model_dump(), **changes}, where="command line")
     maps = plane_maps(calibration or [], 2 if returns == BOTH else 1, image, picture, rig)
     stripes = _stripes(image, settings, picture_part(roi, mask, image), dark, returns == BOTH)
-    points = [to_profile(s, m, 0.0).points for s, m in zip(stripes, maps, strict=False)]
+    in_mm = [to_profile(s, m, 0.0).points for s, m in zip(stripes, maps, strict=False)]
+    found = [*zip_longest(stripes, in_mm)]  # each line, and its points in mm or None
     if overlay:
-        drawn = image
-        for stripe in stripes:
-            drawn = draw_stripe(drawn, stripe)
-        write_picture(overlay, drawn)
-    if output:
-        for path, number in zip(_names(output, len(stripes)), range(len(stripes)), strict=True):
-            save_stripe(path, stripes[number], points[number] if points else None)
+        write_picture(overlay, reduce(draw_stripe, stripes, image))
+    for number, (stripe, points) in enumerate(found):
+        if output:
+            one_of_two = output.parent / f"{output.stem}-{number}{output.suffix}"
+            save_stripe(output if len(found) == 1 else one_of_two, stripe, points)
     if any((s.status == Status.AMBIGUOUS).mean() > 0.25 for s in stripes):
         note(
-            "many columns hold several lines as bright: try --returns first, last or both, or --roi"
+            "many columns hold several lines that are equally bright: try --returns first, last or "
+            "both, or --roi"
         )
     if not any(has_value(s.status).any() for s in stripes):
         note(
             f"none of the {settings.axis} has a peak above its ground: try another --channel or "
-            "--axis, a lower --threshold-dn; where a wide line leaves no ground, a smaller picture"
+            "--axis, or a lower --threshold-dn; if a wide line leaves no ground, a smaller picture"
         )
     seen_px = 2 * settings.span_px + 1
     wide_px = _width_px(image, settings, stripes[0]) if settings.extractor in BY_SPAN else 0.0
@@ -130,26 +103,23 @@ def extract(
         shows_more = partial(_shows_more, image, dark, settings, stripes[0])
         across = "rows" if settings.axis == "columns" else "columns"
         if axis is None and shows_more(axis=across):
-            note("far more rows hold a line than columns: of an upright line say --axis rows")
+            note("far more rows than columns hold a line: use --axis rows for an upright line")
         elif channel is None and shows_more(channel="grey"):
             note(f"far more {settings.axis} hold a line in grey than in colour: try --channel grey")
-    lines = [_counted(s, points[k] if points else None) for k, s in enumerate(stripes)]
-    if json:
-        print_json(lines[0] if len(lines) == 1 else {"lines": lines})
-    else:
-        for number, line in enumerate(lines):
-            _print_line(line, settings.axis, f"{number}: " if len(lines) > 1 else "")
+    lines, words = [_counts(*one) for one in found], []
+    for number, line in enumerate(lines):
+        which = f"{number}: " if len(lines) > 1 else ""
+        of = f"of {line[settings.axis]} {settings.axis}"
+        words.append(f"{which}line found in {line['found']} {of} ({_in_words(line)})")
+        if counts := line.get("points_mm"):
+            words.append(f"{which}points in mm: {counts['found']} ({_in_words(counts)})")
+    show(lines[0] if len(lines) == 1 else {"lines": lines}, *words, json=json)
 
 
-def _pictures(
+def _read_pictures(
     picture: Path, frame: int, background: Path | None, trust: bool
 ) -> tuple[Bytes, Bytes | None, Rig | None]:
     """The picture, its background if there is one, and the rig of a run folder."""
-    from lscan.acquisition.run import open_run
-    from lscan.cli.inputs import read_as_stored
-    from lscan.errors import InputError
-    from lscan.files.pictures import read_picture
-
     dark = read_picture(background) if background else None
     if not os.path.isdir(picture):  # noqa: PTH112 - takes any text
         return read_as_stored(picture), dark, None
@@ -165,11 +135,6 @@ def _stripes(
     image: Bytes, settings: StripeSection, keep: Mask | None, dark: Bytes | None, both: bool
 ) -> tuple[Stripe, ...]:
     """The line in the part of the picture, or the two lines of a scanner with two lasers."""
-    from lscan.errors import InputError
-    from lscan.records import has_value
-    from lscan.stripe import extract_stripe
-    from lscan.stripe.extract import extract_within, told_apart
-
     find = extract_stripe if keep is None else partial(extract_within, keep=keep)
     if not both:
         return (find(image, settings, background=dark),)
@@ -187,9 +152,6 @@ def _shows_more(
     image: Bytes, dark: Bytes | None, settings: StripeSection, stripe: Stripe, **change: str
 ) -> bool:
     """Whether a line that few entries hold shows in twice as many with one setting changed."""
-    from lscan.records import has_value
-    from lscan.stripe import extract_stripe
-
     found = has_value(stripe.status)
     if found.mean() >= 0.5:
         return False
@@ -199,12 +161,6 @@ def _shows_more(
 
 def _width_px(image: Bytes, settings: StripeSection, stripe: Stripe) -> float:
     """Full width of the line at half its height, px; 0 where there is no line."""
-    import numpy as np
-
-    from lscan.records import has_value
-    from lscan.stripe.peaks import FWHM, line_width
-    from lscan.stripe.picture import lines_of
-
     at = np.flatnonzero(has_value(stripe.status))
     if len(at) == 0:
         return 0.0
@@ -212,16 +168,8 @@ def _width_px(image: Bytes, settings: StripeSection, stripe: Stripe) -> float:
     return FWHM * line_width(columns, at, np.rint(stripe.centre_px[at]).astype(np.int64))
 
 
-def _names(output: Path, count: int) -> list[Path]:
-    """A file for each line: ``NAME-0.csv`` and ``NAME-1.csv`` of two."""
-    if count == 1:
-        return [output]
-    return [output.parent / f"{output.stem}-{number}{output.suffix}" for number in range(count)]
-
-
-def _counted(stripe: Stripe, points: PlanePoints | None) -> dict[str, Any]:
-    """How many entries of a line there are, by status, as ``print_json`` takes it."""
-    from lscan.records import has_value, status_counts
+def _counts(stripe: Stripe, points: PlanePoints | None) -> dict[str, Any]:
+    """How many entries of a line there are, by status."""
 
     def counts(status: Ints) -> dict[str, Any]:
         return {"found": int(has_value(status).sum()), "status": status_counts(status)}
@@ -230,10 +178,5 @@ def _counted(stripe: Stripe, points: PlanePoints | None) -> dict[str, Any]:
     return found if points is None else found | {"points_mm": counts(points.status)}
 
 
-def _print_line(line: dict[str, Any], axis: str, which: str) -> None:
-    def listed(counts: dict[str, int]) -> str:
-        return ", ".join(f"{name} {count}" for name, count in counts.items())
-
-    print(f"{which}line found in {line['found']} of {line[axis]} {axis} ({listed(line['status'])})")
-    if in_mm := line.get("points_mm"):
-        print(f"{which}points in mm: {in_mm['found']} ({listed(in_mm['status'])})")
+def _in_words(counts: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts["status"].items())

@@ -1,12 +1,9 @@
-"""What the arguments of the command line name, opened: runs, boards, calibrations, seeds.
-
-Commands import it when they run: what it imports is heavy, and ``lscan --help`` stays quick.
-"""
+"""What the arguments of the command line name, opened: runs, boards, calibrations, seeds."""
 
 import os
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
@@ -18,8 +15,8 @@ from lscan.board.marks import FEWEST
 from lscan.calibration.calibrationfile import load_plane_map
 from lscan.calibration.check import CorrectionKind, map_for_rig
 from lscan.calibration.planemap import PlaneMap
-from lscan.cli.console import note
-from lscan.config.board import Board, load_board
+from lscan.cli.console import note, one_of
+from lscan.config.board import load_board
 from lscan.config.documents import check, read_document
 from lscan.config.rig import CalibrationSection, OpticsSection, Rig
 from lscan.errors import InputError
@@ -30,114 +27,106 @@ from lscan.surface.shaft import load_shaft
 
 
 def open_calibrated(
-    run: Path, calibration: Path, shaft: Path | None = None, trusted: bool = False
+    run: Path, calibration: Path | None, shaft: Path | None = None, trusted: bool = False
 ) -> tuple[Run, PlaneMap]:
     """A run and the plane map for its pictures; a run that is not complete is said to be so.
 
     shaft: TOML file whose [shaft] takes the place of the run's own.  trusted: as ``open_run``.
     """
+    if calibration is None:
+        gone = "" if os.path.exists(run) else f", and {run} does not exist"  # noqa: PTH110 - any text
+        allowed = "a file, with a run folder"
+        raise InputError(f"is missing{gone}", where="--calibration", allowed=allowed)
     opened = open_run(run, trusted)
-    if shaft is not None:
-        opened = _about(opened, shaft)
-    plane_map, size = load_plane_map(calibration)
     rig = opened.rig_file.rig
+    if shaft is not None:
+        if rig.shaft is None:
+            raise InputError("was made on a linear track, without [shaft]", where=opened.path)
+        rig = rig.model_copy(update={"shaft": load_shaft(shaft)})
+        opened = replace(opened, rig_file=replace(opened.rig_file, rig=rig))
+    plane_map, size = load_plane_map(calibration)
     require_size(rig.camera, size, calibration, opened.path)
     if len(opened) < rig.plan.frames:
         note(f"{run} holds {len(opened)} of {rig.plan.frames} frames")
     return opened, plane_map
 
 
-def _about(run: Run, shaft: Path) -> Run:
-    """The run with the [shaft] of a file; InputError where it was not made about a shaft."""
-    rig_file = run.rig_file
-    if rig_file.rig.shaft is None:
-        raise InputError("was made on a linear track, without [shaft]", where=run.path)
-    rig = rig_file.rig.model_copy(update={"shaft": load_shaft(shaft)})
-    return replace(run, rig_file=replace(rig_file, rig=rig))
+def parse_numbers(text: str, count: int) -> list[float] | None:
+    """The finite numbers of "1,2,3"; None where they are not that many."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        return None
+    return numbers if len(numbers) == count and np.isfinite(numbers).all() else None
 
 
 def parse_seeds(text: str | None) -> Floats | None:
     """(3, 2) px of "u1,v1,u2,v2,u3,v3", None for None; InputError where it is neither."""
     if text is None:
         return None
-    try:
-        numbers = [float(part) for part in text.replace(";", ",").split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != 6 or not np.isfinite(numbers).all():
-        raise InputError(
-            "not three points", where="--seeds", value=text, allowed="u1,v1,u2,v2,u3,v3 in px"
-        )
+    numbers = parse_numbers(text.replace(";", ","), 6)
+    if numbers is None:
+        allowed = "u1,v1,u2,v2,u3,v3 in px"
+        raise InputError("not three points", where="--seeds", value=text, allowed=allowed)
     return np.array(numbers).reshape(3, 2)
 
 
 def parse_corrections(words: Sequence[str] | None) -> tuple[CorrectionKind, ...]:
     """The kinds of correction, in the order in which they are made; InputError for another."""
     allowed = get_args(CorrectionKind)
-    for word in words or ():
-        if word not in allowed:
-            raise InputError(
-                "no such correction", where="--correct", value=word, allowed=", ".join(allowed)
-            )
-    return tuple(kind for kind in allowed if kind in (words or ()))
+    kinds = [one_of(word, allowed, "--correct", "no such correction") for word in words or ()]
+    return tuple(kind for kind in allowed if kind in kinds)
 
 
-@dataclass(frozen=True)
-class BoardSource:
-    """The picture of a board, the board, how to calibrate with it, and what is known of the lens.
+def read_board_picture(
+    picture: Path,
+    board: Path | None,
+    optics: Path | None,
+    seeds: str | None,
+    channel: str | None,
+    trusted: bool,
+) -> tuple[BoardReading, Bytes, CalibrationSection, OpticsSection]:
+    """The marks of a board, the picture that shows them, how to calibrate by it, and its optics.
 
-    image: (H, W, 3) or (H, W) uint8.  run: whose mean picture it is, None of a picture file.
-    """
-
-    image: Bytes
-    board: Board
-    calibration: CalibrationSection
-    optics: OpticsSection
-    run: Run | None = None
-
-    def read(self, seeds: Floats | None, channel: str | None) -> BoardReading:
-        """The marks found; seeds: (3, 2) px; channel: in place of what the rig says.
-
-        A note names the dots that are not where the board file has them, and the rings of which
-        less than half of the smallest's points are.
-        """
-        section = self.calibration
-        if channel is not None:
-            section = check(CalibrationSection, {"channel": channel}, where=None, prefix="--")
-        with board_expected(self.run) if self.run is not None else nullcontext():
-            reading = read_board(self.image, self.board, seeds=seeds, channel=section.channel)
-        lost = [name for name, dot in reading.dots.items() if dot.status == Status.NOT_FOUND]
-        lost += [name for name, ring in reading.rings.items() if len(ring.sigma_px) < FEWEST / 2]
-        if lost:
-            where = "check that they are in view and clean, and their places in the board file"
-            note(f"not found where the board file has them: {', '.join(lost)}; {where}")
-        return reading
-
-
-def board_picture(
-    picture: Path, board: Path | None, optics: Path | None = None, trusted: bool = False
-) -> BoardSource:
-    """What a picture file or a run folder gives to calibrate from.
-
+    picture: a file, or a run folder, whose mean picture is taken.
     board, optics: files that stand in for what a run's rig file says; a picture file needs
-    the first.  trusted: as ``open_run``.
-    Raises InputError where one is missing or cannot be used.
+    the first.  seeds: as of ``parse_seeds``.  channel: in place of what the rig says.
+    trusted: as ``open_run``.
+    A note names the dots that are not where the board file has them, and the rings of which
+    less than half of the smallest's points are.
+    Raises InputError where a file is missing or cannot be used.
     """
+    section, known, run = CalibrationSection(), OpticsSection(), None
     if os.path.isdir(picture):  # noqa: PTH112 - takes any text
         run = open_run(picture, trusted)
         rig = run.rig_file.rig
+        section, known = rig.calibration, rig.optics
         nominal = load_board(board) if board else require_board(run.rig_file)
-        known = read_optics(optics) if optics else rig.optics
-        return BoardSource(mean_picture(run), nominal, rig.calibration, known, run)
-    if not os.path.exists(picture):  # noqa: PTH110 - takes any text
-        raise InputError(
-            "no such file or folder", where=picture, allowed="a picture file or a run folder"
-        )
-    if board is None:
+    elif not os.path.exists(picture):  # noqa: PTH110 - takes any text
+        allowed = "a picture file or a run folder"
+        raise InputError("no such file or folder", where=picture, allowed=allowed)
+    elif board is None:
         raise InputError("a picture needs a board file", where="--board", allowed="a TOML file")
-    known = read_optics(optics) if optics else OpticsSection()
-    stored = read_as_stored(picture)
-    return BoardSource(stored, load_board(board), CalibrationSection(), known)
+    else:
+        nominal = load_board(board)
+    if optics is not None:
+        document = read_document(optics)  # it may be a whole rig file
+        if "optics" not in document:
+            raise InputError("has no section [optics]", where=optics)
+        known = check(OpticsSection, document["optics"], where=optics, prefix="optics")
+    image = read_as_stored(picture) if run is None else mean_picture(run)
+    colour = section.channel
+    if channel is not None:
+        colour = check(CalibrationSection, {"channel": channel}, where=None, prefix="--").channel
+    places = parse_seeds(seeds)
+    with nullcontext() if run is None else board_expected(run):
+        reading = read_board(image, nominal, seeds=places, channel=colour)
+    lost = [name for name, dot in reading.dots.items() if dot.status == Status.NOT_FOUND]
+    lost += [name for name, ring in reading.rings.items() if len(ring.sigma_px) < FEWEST / 2]
+    if lost:
+        where = "check that they are in view and clean, and their places in the board file"
+        note(f"not found where the board file has them: {', '.join(lost)}; {where}")
+    return reading, image, section, known
 
 
 def read_as_stored(path: Path) -> Bytes:
@@ -149,14 +138,6 @@ def read_as_stored(path: Path) -> Bytes:
             "seeds, parts and overlays"
         )
     return picture
-
-
-def read_optics(path: Path) -> OpticsSection:
-    """The section [optics] of a TOML file, which may be a whole rig file; InputError if none."""
-    document = read_document(path)
-    if "optics" not in document:
-        raise InputError("has no section [optics]", where=path)
-    return check(OpticsSection, document["optics"], where=path, prefix="optics")
 
 
 def plane_maps(
@@ -174,13 +155,10 @@ def plane_maps(
     maps = []
     for file in files:
         plane_map, size = load_plane_map(file)
-        if size != (image.shape[1], image.shape[0]):
-            raise InputError(
-                "is of another size than the calibration's pictures",
-                where=where,
-                value=(image.shape[1], image.shape[0]),
-                allowed=f"{size[0]} x {size[1]} px, as in {file}",
-            )
+        if size != (shown := (image.shape[1], image.shape[0])):
+            what = "is of another size than the calibration's pictures"
+            allowed = f"{size[0]} x {size[1]} px, as in {file}"
+            raise InputError(what, where=where, value=shown, allowed=allowed)
         maps.append(plane_map if rig is None else map_for_rig(plane_map, rig))
     return maps
 

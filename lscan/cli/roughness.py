@@ -1,20 +1,20 @@
 """The command ``lscan roughness``: a thin face over lscan.roughness."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-import typer
+from typer import Argument, Option
 
-from lscan.cli.console import Json, note, print_json, print_table, progress_bar, require_folders
+from lscan import roughness as rough
+from lscan.cli.console import Json, note, progress_bar, require_folders, show, table
+from lscan.config.rig import load_rig
 from lscan.errors import InputError
-
-if TYPE_CHECKING:
-    from lscan.records import Surface
-    from lscan.roughness import Patch, Roughness, ScannerResponse, Sediment
+from lscan.records import Surface
+from lscan.roughness import MM_PER_CM, Roughness, ScannerResponse, Sediment, patch_of_cells
+from lscan.roughness.analysis import save_figures, save_roughness
+from lscan.roughness.instrument import corrected_blur_px, is_thickness_corrected
+from lscan.surface import load_surface, shear
 
 FREQUENCIES_KHZ = (15.0, 50.0, 100.0, 300.0)
 MOST_STEPS = 0.5  # of the patch's shorter side: a stone on the seabed makes fewer
@@ -22,134 +22,93 @@ GRAZING_DEG = (10.0, 20.0, 45.0, 70.0)
 
 
 def roughness(
-    surface: Annotated[Path, typer.Argument(help="Surface (.nc).")],
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Spectra to write (.nc).")
-    ] = None,
-    cell: Annotated[
-        float | None,
-        typer.Option(
-            help="mm, side of the cells that points are averaged in, in place of profiles."
-        ),
-    ] = None,
-    yaw: Annotated[
-        float,
-        typer.Option(help="Degrees, of the sheet against the track, of a surface as scanned."),
-    ] = 0.0,
-    sheet: Annotated[
-        float, typer.Option(help="mm, standard deviation of the light across the sheet.")
-    ] = 0.0,
-    blur: Annotated[
-        float | None,
-        typer.Option(
-            help="mm, standard deviation of the lens's blur on the seabed; by default that which "
-            "the lines were corrected for, if any and with --pixel."
-        ),
-    ] = None,
-    pixel: Annotated[float, typer.Option(help="mm, width of a pixel on the seabed.")] = 0.0,
-    rig: Annotated[
-        Path | None,
-        typer.Option(
-            help="Rig file that the surface was scanned with: says sheet, blur, pixel and how its "
-            "extractor reads such lines."
-        ),
-    ] = None,
-    peak: Annotated[
-        float | None,
-        typer.Option(help="DN, brightest grey value of a usual line above the ground; with --rig."),
-    ] = None,
-    stretched: Annotated[
-        bool, typer.Option("--stretched", help="The power law may differ between directions.")
-    ] = False,
-    figures: Annotated[
-        Path | None, typer.Option(help="Folder for the figures: spectrum, plane, rose (.png).")
-    ] = None,
-    bottom: Annotated[
-        str | None,
-        typer.Option(
-            "--sediment",
-            help="Sediment whose backscatter is asked, by its name in APL-UW TR 9407, such as "
-            '"medium sand"; another lists all.',
-        ),
-    ] = None,
-    frequency: Annotated[
-        list[float] | None, typer.Option(help="kHz, of the sound; may be given again.")
-    ] = None,
-    grazing: Annotated[
-        list[float] | None, typer.Option(help="Degrees, grazing angle; may be given again.")
-    ] = None,
+    surface: Path = Argument(help="Surface (.nc)."),
+    output: Path | None = Option(None, "--output", "-o", help="Spectra to write (.nc)."),
+    cell: float | None = Option(
+        None, help="Side of cells to average points in, mm; without it profiles are used."
+    ),
+    yaw: float = Option(
+        0.0, help="Yaw of the sheet against the track, degrees, of a surface that is not aligned."
+    ),
+    sheet: float = Option(0.0, help="Standard deviation of the light across the sheet, mm."),
+    blur: float | None = Option(
+        None,
+        help="mm, standard deviation of the lens's blur on the seabed; by default that which "
+        "the lines were corrected for, if any and with --pixel.",
+    ),
+    pixel: float = Option(0.0, help="Width of a pixel on the seabed, mm."),
+    rig: Path | None = Option(
+        None,
+        help="Rig file that the surface was scanned with: says sheet, blur, pixel and how its "
+        "extractor reads such lines.",
+    ),
+    peak: float | None = Option(
+        None, help="DN, brightest grey value of a usual line above the ground; with --rig."
+    ),
+    stretched: bool = Option(
+        False, "--stretched", help="Let the power law differ between directions."
+    ),
+    figures: Path | None = Option(
+        None, help="Folder for the figures: spectrum, plane, rose (.png)."
+    ),
+    bottom: str | None = Option(
+        None,
+        "--sediment",
+        help="Sediment whose backscatter is asked, by its name in APL-UW TR 9407, such as "
+        '"medium sand"; another lists all.',
+    ),
+    frequency: list[float] | None = Option(None, help="Frequency of the sound, kHz; repeatable."),
+    grazing: list[float] | None = Option(None, help="Grazing angle, degrees; repeatable."),
     json: Json = False,
 ) -> None:
     """Roughness of a surface: spectrum, power law with intervals, ripples, cutoff, backscatter."""
-    from lscan.config.rig import load_rig
-    from lscan.roughness import MM_PER_CM, response_of, roughness_of, sediment
-    from lscan.roughness.analysis import save_roughness
-    from lscan.surface import load_surface
-
     require_folders(output)
     if cell is not None and not cell > 0:
-        raise InputError("is no length", where="--cell", value=cell, allowed="above 0 mm")
+        raise InputError("is not a length", where="--cell", value=cell, allowed="above 0 mm")
     for name, length in (("sheet", sheet), ("blur", blur), ("pixel", pixel)):
         if length is not None and not length >= 0:
-            raise InputError(
-                "is no length", where=f"--{name}", value=length, allowed="0 mm or more"
-            )
+            allowed = "0 mm or more"
+            raise InputError("is not a length", where=f"--{name}", value=length, allowed=allowed)
     if not abs(yaw) < 45:
-        raise InputError("is no yaw", where="--yaw", value=yaw, allowed="-45 to 45 degrees")
+        raise InputError("is not a yaw", where="--yaw", value=yaw, allowed="-45 to 45 degrees")
     if bottom is None and (frequency or grazing):
         raise InputError("is needed with --frequency or --grazing", where="--sediment")
-    ground = None if bottom is None else sediment(bottom)
+    ground = None if bottom is None else rough.sediment(bottom)
     scanned = load_surface(surface)
     if rig is None:
-        response = _of_lengths(scanned, sheet, blur, pixel)
+        response = _stated_response(scanned, sheet, blur, pixel)
     elif sheet or blur or pixel:
-        raise InputError("says sheet, blur and pixel itself", where="--rig", value=rig)
+        raise InputError("gives sheet, blur and pixel itself", where="--rig", value=str(rig))
     else:
-        response = response_of(load_rig(rig).rig, scanned, peak)
+        response = rough.response_of(load_rig(rig).rig, scanned, peak)
     response = replace(response, cell_cm=(cell or 0.0) / MM_PER_CM)
-    patch = _patch(scanned, cell, yaw)
+    sheared = replace(scanned, xyz_mm=scanned.xyz_mm @ shear(np.radians(yaw)).T)
+    patch = rough.patch_of_profiles(sheared) if cell is None else patch_of_cells(sheared, cell)
     if patch.steps > MOST_STEPS:
-        note("steps lie in the patch, as of a block's rim: ripples, law and intervals do not hold")
+        note("steps lie in the patch, such as a rim: ripples, law and intervals are not valid")
     with progress_bar("roughness") as progress:
-        found = roughness_of(patch, response, stretched=stretched, progress=progress)
+        found = rough.roughness_of(patch, response, stretched=stretched, progress=progress)
     if output:
         save_roughness(output, patch, found)
     if figures:
-        from lscan.roughness.analysis import save_figures  # loads matplotlib
-
         save_figures(figures, patch, found, response)
     sound = [] if ground is None else _backscatter(found, ground, frequency, grazing)
-    if json:
-        told = found.figures()
-        print_json({**told, "backscatter": sound} if sound else told)
-        return
-    print_table("roughness", ["what", "value", "95 %"], _rows(found))
+    lines = [table("roughness", ["what", "value", "95 %"], _rows(found))]
     if sound:
-        print_table(
-            f"backscatter of {bottom}",
-            ["kHz", "grazing, deg", "Bragg, rad/cm", "strength, dB", "95 %", "measured"],
-            [[f"{row['frequency_khz']:g}", f"{row['grazing_deg']:g}", f"{row['bragg_per_cm']:.3g}",
-              f"{row['strength_db']:.1f}", f"± {1.96 * row['sigma_db']:.1f}", _where(row, found)]
-             for row in sound],
-        )  # fmt: skip
+        headings = ["kHz", "grazing, deg", "Bragg, rad/cm", "strength, dB", "95 %", "measured"]
+        rows = [
+            [f"{row['frequency_khz']:g}", f"{row['grazing_deg']:g}", f"{row['bragg_per_cm']:.3g}",
+             f"{row['strength_db']:.1f}", f"± {1.96 * row['sigma_db']:.1f}", _in_band(row, found)]
+            for row in sound
+        ]  # fmt: skip
+        lines.append(table(f"backscatter of {bottom}", headings, rows))
+    show(found.figures() | ({"backscatter": sound} if sound else {}), *lines, json=json)
 
 
-def _patch(surface: Surface, cell_mm: float | None, yaw_deg: float) -> Patch:
-    """The patch of its profiles, or of cells; yaw: of its sheet against the track."""
-    from lscan.roughness import patch_of_cells, patch_of_profiles
-    from lscan.surface import shear
-
-    turned = replace(surface, xyz_mm=surface.xyz_mm @ shear(np.radians(yaw_deg)).T)
-    return patch_of_profiles(turned) if cell_mm is None else patch_of_cells(turned, cell_mm)
-
-
-def _of_lengths(
+def _stated_response(
     surface: Surface, sheet_mm: float, blur_mm: float | None, pixel_mm: float
 ) -> ScannerResponse:
     """The response that the options state, and what the surface's lines were corrected for."""
-    from lscan.roughness import MM_PER_CM, ScannerResponse
-    from lscan.roughness.instrument import corrected_blur_px, is_thickness_corrected
-
     if sheet_mm and is_thickness_corrected(surface):
         raise InputError(
             "the surface is corrected for the sheet's thickness", where="--sheet", value=sheet_mm,
@@ -171,24 +130,25 @@ def _of_lengths(
 
 
 def _backscatter(
-    found: Roughness, ground: Sediment, frequencies: list[float] | None, angles: list[float] | None
+    found: Roughness,
+    ground: Sediment,
+    frequencies: list[float] | None,
+    angles: list[float] | None,
 ) -> list[dict[str, float]]:
     """One row for each frequency and angle."""
-    from lscan.roughness import bragg_per_cm, predicted_backscatter
-
     rows = []
+    grazing_deg = np.array(angles or GRAZING_DEG)
     for frequency in frequencies or FREQUENCIES_KHZ:
-        told = predicted_backscatter(found.fit, ground, frequency, np.array(angles or GRAZING_DEG))
-        bragg = bragg_per_cm(frequency, told.grazing_deg)
+        told = rough.predicted_backscatter(found.fit, ground, frequency, grazing_deg)
+        bragg = rough.bragg_per_cm(frequency, told.grazing_deg)
+        names = ("grazing_deg", "bragg_per_cm", "strength_db", "sigma_db")
         for values in zip(told.grazing_deg, bragg, told.strength_db, told.sigma_db, strict=True):
-            names = ("grazing_deg", "bragg_per_cm", "strength_db", "sigma_db")
-            rows.append(
-                {"frequency_khz": frequency, **dict(zip(names, map(float, values), strict=True))}
-            )
+            of = dict(zip(names, map(float, values), strict=True))
+            rows.append({"frequency_khz": frequency, **of})
     return rows
 
 
-def _where(row: dict[str, float], found: Roughness) -> str:
+def _in_band(row: dict[str, float], found: Roughness) -> str:
     """Whether the wavenumber that the sound meets was measured, or the law is extended to it."""
     band = found.fit.band
     if row["bragg_per_cm"] < band.low_per_cm:

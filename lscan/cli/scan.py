@@ -1,77 +1,56 @@
-"""The command ``lscan scan``: a thin face over lscan.acquisition.scan."""
+"""``lscan scan``, ``live`` and ``scenes``: what is scanned, from a terminal or a browser."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
-from lscan.cli.console import (
-    Json,
-    RigOrScene,
-    keep_notes_when_stopped,
-    note,
-    print_json,
-    progress_bar,
-)
+from lscan.acquisition.scan import scan as write_run
+from lscan.acquisition.writer import holds_no_run
+from lscan.cli.console import Json, keep_notes_when_stopped, note, progress_bar, show
+from lscan.config.rig import load_rig
+from lscan.config.scenes import copy_scenes, scene_about, scene_names
+from lscan.errors import DeviceError, InputError
 
 
 def scan(
-    rig: RigOrScene,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Run folder to write.")],
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with a stopped run.")] = False,
-    position_restored: Annotated[
-        bool,
-        typer.Option(
-            "--position-restored",
-            help="With --resume, after the track lost its zero: the head was put back by hand.",
-        ),
-    ] = False,
+    rig: Path = Argument(help="Rig file or scene file (TOML), or a scene's name."),
+    output: Path = Option(..., "--output", "-o", help="Run folder to write."),
+    resume: bool = Option(False, "--resume", help="Resume a stopped run."),
+    position_restored: bool = Option(
+        False,
+        "--position-restored",
+        help="With --resume after the track lost its zero: the head was put back by hand.",
+    ),
     json: Json = False,
 ) -> None:
     """Move the track, take the pictures, write a run folder."""
-    from lscan.acquisition.scan import scan as acquire
-    from lscan.acquisition.writer import holds_no_run
-    from lscan.config.rig import load_rig
-    from lscan.errors import InputError
-
     if position_restored and not resume:
         raise InputError("goes with --resume only", where="--position-restored")
     rig_file = load_rig(rig)
     if resume and holds_no_run(output):
         note(f"there is nothing to resume in {output}; a new run is begun")
     with keep_notes_when_stopped(), progress_bar("scan") as progress:
-        run = acquire(
+        run = write_run(
             rig_file, output, resume=resume, position_restored=position_restored, progress=progress
         )
-    if json:
-        print_json({"run": run.path, "frames": len(run), "state": run.state})
-    else:
-        print(f"{len(run)} {'frame' if len(run) == 1 else 'frames'} in {run.path}")
-
-
-# The command ``lscan live``: a thin face over lscan.live.
+    words = f"{len(run)} {'frame' if len(run) == 1 else 'frames'} in {run.path}"
+    show({"run": run.path, "frames": len(run), "state": run.state}, words, json=json)
 
 
 def live(
-    rig: RigOrScene,
-    calibration: Annotated[
-        Path | None, typer.Option("--calibration", "-c", help="Calibration file (JSON).")
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="Folder for the run folders.")
-    ] = Path("runs"),
-    host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0: any that is free.")] = 8765,
-    token: Annotated[
-        str | None,
-        typer.Option(help="What a browser must know; made for a --host that others reach."),
-    ] = None,
+    rig: Path = Argument(help="Rig file or scene file (TOML), or a scene's name."),
+    calibration: Path | None = Option(None, "--calibration", "-c", help="Calibration file (JSON)."),
+    output: Path = Option(Path("runs"), "--output", "-o", help="Folder for the run folders."),
+    host: str = Option("127.0.0.1", help="Address to serve on."),
+    port: int = Option(8765, min=0, max=65535, help="Port; 0 for any that is free."),
+    token: str | None = Option(
+        None, help="Token that a browser must present; generated if others can reach --host."
+    ),
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""
+    # Here: a web server takes as long to load as all the rest, and ``lscan scan`` needs none.
     from lscan.calibration.calibrationfile import load_plane_map
-    from lscan.config.rig import load_rig
     from lscan.devices.signals import no_suspending, on_stop_signals
-    from lscan.errors import DeviceError
     from lscan.live.scanning import use_map
     from lscan.live.server import grant, listen, make_server
     from lscan.live.session import Session
@@ -101,23 +80,15 @@ def live(
         raise DeviceError(session.laser_warning)
 
 
-# ``lscan scenes``: the scenes that come with lscan, listed or copied.
-
-
 def scenes(
-    copy: Annotated[Path | None, typer.Option(help="New folder to copy all scenes to.")] = None,
+    copy: Path | None = Option(None, help="New folder to copy all scenes to."),
     json: Json = False,
 ) -> None:
-    """List the scenes, rigs and boards that come with lscan, or copy them to be changed."""
-    from lscan.config.scenes import copy_scenes, scene_about, scene_names
-
+    """List the scenes, rigs and boards that come with lscan, or copy them to be edited."""
     names = scene_names()
-    if copy is not None:
-        copy_scenes(copy)
-    if json:
-        print_json({"scenes": names, "copied_to": copy})
-    elif copy is not None:
-        print(f"{len(names)} scenes, rigs and boards in {copy}")
+    if copy is None:
+        words = [f"{name:26}{scene_about(name)}" for name in names]
     else:
-        for name in names:
-            print(f"{name:26}{scene_about(name)}")
+        copy_scenes(copy)
+        words = [f"{len(names)} scenes, rigs and boards in {copy}"]
+    show({"scenes": names, "copied_to": copy}, *words, json=json)

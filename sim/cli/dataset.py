@@ -1,113 +1,63 @@
 """``lscan-sim dataset``: labelled pictures for those who train or test with many."""
 
 from pathlib import Path
-from typing import Annotated, Literal
 
-import typer
+from typer import Argument, Option
 
-from lscan.cli.console import (
-    Json,
-    command_line,
-    keep_notes_when_stopped,
-    note,
-    print_json,
-    progress_bar,
-)
-from lscan.errors import InputError
-from sim.cli.arguments import OutputFolder, print_places
-from sim.cli.study import MOST_WORKERS
+from lscan.cli.console import Json, keep_notes_when_stopped, note, one_of, progress_bar, show
+from sim.cli.arguments import MOST_WORKERS, OutputFolder, show_places, worker_processes
+from sim.datasets.dataset import make_dataset
+from sim.datasets.datasetshards import ENDINGS
+from sim.datasets.datasetspec import load_dataset_spec
 
 
 def dataset(
-    spec: Annotated[Path, typer.Argument(help="Spec (TOML), or lscan's own: stripes.")],
+    spec: Path = Argument(help="Spec (TOML), or lscan's own: stripes."),
     output: OutputFolder = Path("out/dataset"),
-    count: Annotated[int, typer.Option("--count", min=1, max=10**9, help="Pictures.")] = 100,
-    workers: Annotated[
-        int, typer.Option("--workers", help="Processes of this machine.", min=1, max=MOST_WORKERS)
-    ] = 2,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            "--scheduler",
-            help="Another Dask cluster that sees the same folder; it trusts all who reach it.",
-        ),
-    ] = None,
-    processes: Annotated[
-        str | None, typer.Option("--processes", help='"none": all in this process, to debug.')
-    ] = None,
-    form: Annotated[
-        str, typer.Option("--format", help="webdataset, hdf5 or folders.")
-    ] = "webdataset",
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the shards that the folder holds.")
-    ] = False,
+    count: int = Option(100, min=1, max=10**9, help="Number of pictures."),
+    workers: int = Option(2, help="Number of processes on this machine.", min=1, max=MOST_WORKERS),
+    scheduler: str | None = Option(
+        None,
+        help="Address of a Dask cluster that sees the same folder; it trusts all who reach it.",
+    ),
+    processes: str | None = Option(None, help='"none" runs all in this process, to debug.'),
+    form: str = Option("webdataset", "--format", help="Format: webdataset, hdf5 or folders."),
+    resume: bool = Option(False, "--resume", help="Resume with the shards that the folder holds."),
     json: Json = False,
 ) -> None:
-    """Pictures with all labels, of scenes drawn from distributions over any key."""
-    from sim.datasets.dataset import make_dataset
-    from sim.datasets.datasetshards import ENDINGS
-    from sim.datasets.datasetspec import load_dataset_spec
-
-    if processes not in (None, "none"):
-        raise InputError("not known", where="--processes", value=processes, allowed="none")
-    forms = {known: known for known in ENDINGS}
-    if form not in forms:
-        raise InputError("not known", where="--format", value=form, allowed=", ".join(forms))
-    how: int | Literal["none"] = "none" if processes == "none" else workers
+    """Render labelled pictures of scenes drawn from distributions over any key."""
+    how, shards = worker_processes(workers, processes), one_of(form, ENDINGS, "--format")
     with keep_notes_when_stopped(), progress_bar("pictures") as progress:
         manifest = make_dataset(
-            load_dataset_spec(spec), output, count, form=forms[form], workers=how,
+            load_dataset_spec(spec), output, count, form=shards, workers=how,
             scheduler=scheduler, resume=resume, progress=progress, say=note,
         )  # fmt: skip
-    if json:
-        print_json(manifest)
-        return
-    print(f"{manifest['pictures']} pictures, {len(manifest['failed'])} failed")
-    print(output / "README.md")
+    words = f"{manifest['pictures']} pictures, {len(manifest['failed'])} failed"
+    show(manifest, words, str(output / "README.md"), json=json)
 
 
-# ``lscan-sim suite make``: a suite of rendered cases from its spec.
-
-
-suite = command_line("Suites of rendered pictures with their truth: make.")
-
-
-@suite.callback()
-def _group() -> None:
-    """Suites of rendered pictures with their truth."""
-
-
-@suite.command("make")
-def make(
-    spec: Annotated[
-        Path, typer.Argument(help="Spec file (TOML), or one of lscan's: chains, full, quick.")
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output",
-            "-o",
-            help="Archive; if not, the one of the user's cache is replaced.",
-        ),
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option("--seed", min=0, help="In place of the spec's own.")
-    ] = None,
-    workers: Annotated[int, typer.Option("--workers", help="Processes of this machine.")] = 2,
+def make_suite(
+    spec: Path = Argument(help="Spec file (TOML), or one of lscan's: chains, full, quick."),
+    output: Path | None = Option(
+        None,
+        "--output",
+        "-o",
+        help="Archive to write; by default that of the user's cache is replaced.",
+    ),
+    seed: int | None = Option(None, min=0, help="Seed to use in place of the spec's own."),
+    workers: int = Option(2, help="Number of processes on this machine."),
     json: Json = False,
 ) -> None:
-    """Render a suite, or go on where it was ended; lscan bench --suite judges by it."""
-    from sim.datasets.suite import load_suite_spec, make_cached_suite, make_suite
+    """Render a suite, or resume one that was interrupted; lscan bench --suite judges by it."""
+    from sim.datasets import suite  # loads Mitsuba
 
-    if not 1 <= workers <= MOST_WORKERS:
-        allowed = f"1 to {MOST_WORKERS}"
-        raise InputError("out of range", where="--workers", value=workers, allowed=allowed)
-    loaded = load_suite_spec(spec, seed)
+    worker_processes(workers)
+    loaded = suite.load_suite_spec(spec, seed)
     own = "" if loaded.seed == loaded.file.seed else f"-seed-{loaded.seed}"
     with progress_bar("cases") as progress:
         if output is None:
             name = f"{loaded.file.name}{own}"
-            made = make_cached_suite(loaded, name, workers=workers, progress=progress)
+            made = suite.make_cached_suite(loaded, name, workers=workers, progress=progress)
         else:
-            made = make_suite(loaded, output, workers=workers, progress=progress)
-    print_places({"suite": made}, json)
+            made = suite.make_suite(loaded, output, workers=workers, progress=progress)
+    show_places({"suite": made}, json)

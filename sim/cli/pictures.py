@@ -1,20 +1,23 @@
 """``lscan-sim demo``, ``render``, ``truth`` and ``views``: pictures, and the truth of them."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
-import typer
+from rich.table import Table
+from typer import Argument, Option
 
-from lscan.cli.console import Json, print_json, print_table, progress_bar
-from lscan.cli.measure import print_chains
+from lscan.acquisition.run import open_run
+from lscan.cli.console import Json, progress_bar, show, table
+from lscan.cli.report import chain_lines
 from lscan.config.scenes import scenes_folder
 from lscan.errors import InputError
-from sim.cli.arguments import OutputFolder, PaperFolder, Quick, SceneFile, print_places
-
-if TYPE_CHECKING:
-    from lscan.paper.experiment import Experiment
+from lscan.paper.experiment import Experiment
+from lscan.paper.report import results_json
+from sim.cli.arguments import OutputFolder, PaperFolder, Quick, SceneFile, show_places
+from sim.datasets.files import taken_at, taken_in, write_render, write_truth
+from sim.datasets.views import write_views
+from sim.devices import load_checked
+from sim.truth.placement import check_placement
 
 # ``lscan-sim render``, ``truth`` and ``views``: pictures, and the truth of them.
 
@@ -22,41 +25,25 @@ if TYPE_CHECKING:
 def render(
     scene: SceneFile,
     output: OutputFolder,
-    position: Annotated[
-        float | None, typer.Option("--position", help="Track position, mm; the plan's start.")
-    ] = None,
-    samples: Annotated[
-        int | None, typer.Option("--samples", min=1, help="Samples a pixel, a square number.")
-    ] = None,
+    position: float | None = Option(None, help="Track position, mm; by default the plan's start."),
+    samples: int | None = Option(None, min=1, help="Samples per pixel, a square number."),
     json: Json = False,
 ) -> None:
-    """The picture the webcam would take, and the layers of light it is made of."""
-    from sim.datasets.files import write_render
-    from sim.devices import load_checked
-
+    """Render the picture that the webcam would take, and the layers of light in it."""
     loaded = load_checked(scene)
     place = loaded.rig.plan.start_mm if position is None else position
-    files = write_render(loaded, place, output, samples)
-    print_places(files, json)
+    show_places(write_render(loaded, place, output, samples), json)
 
 
 def truth(
-    scene: Annotated[
-        Path, typer.Argument(help="Scene file or name, or a run folder of one: all its frames.")
-    ],
-    output: OutputFolder,
-    position: Annotated[
-        list[float] | None,
-        typer.Option("--position", help="Track position, mm, again for more; the plan's start."),
-    ] = None,
+    scene: Path = Argument(help="Scene file or name, or for all frames of a scan its run folder."),
+    output: Path = Option(..., "--output", "-o", help="Folder to write."),
+    position: list[float] | None = Option(
+        None, help="Track position, mm, repeatable; by default the plan's start."
+    ),
     json: Json = False,
 ) -> None:
-    """Where everything in the picture really is: the line's centre, the board's marks."""
-    from lscan.acquisition.run import open_run
-    from sim.datasets.files import taken_at, taken_in, write_truth
-    from sim.devices import load_checked
-    from sim.truth.placement import check_placement
-
+    """Write where everything in the picture really is: the line's centre, the board's marks."""
     if scene.is_dir():
         if position:
             raise InputError(
@@ -70,25 +57,23 @@ def truth(
         taken = taken_at(loaded, position or [loaded.rig.plan.start_mm])
     with progress_bar("truth") as progress:
         tables = write_truth(loaded, taken, output, progress)
-    print_places({name: table.file for name, table in tables.items()}, json)
-    if not json:
-        for name, table in tables.items():
-            found = ", ".join(f"{count} {status}" for status, count in table.statuses.items())
-            print(f"{name}: {len(taken)} pictures, {sum(table.statuses.values())} entries: {found}")
+    counts = []
+    for name, each in tables.items():
+        found = ", ".join(f"{count} {status}" for status, count in each.statuses.items())
+        entries = sum(each.statuses.values())
+        counts.append(f"{name}: {len(taken)} pictures, {entries} entries: {found}")
+    show_places({name: each.file for name, each in tables.items()}, json, *counts)
 
 
 def views(
     scene: SceneFile,
     output: OutputFolder,
-    poses: Annotated[int, typer.Option("--poses", min=1, max=100, help="Of the board.")] = 10,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the poses and the noise.")] = 1,
+    poses: int = Option(10, min=1, max=100, help="Number of poses of the board."),
+    seed: int = Option(1, min=0, help="Seed of the poses and the noise."),
     json: Json = False,
 ) -> None:
-    """A board held into the sheet in many poses: what lscan calibrate-metric takes."""
-    from sim.datasets.views import write_views
-    from sim.devices import load_checked
-
-    print_places(write_views(load_checked(scene), output, poses, seed), json)
+    """Render a board held into the sheet in many poses, for lscan calibrate-metric."""
+    show_places(write_views(load_checked(scene), output, poses, seed), json)
 
 
 # ``lscan-sim demo``: the paper's experiment in the tank, with a report.
@@ -97,33 +82,27 @@ def views(
 def demo(
     output: OutputFolder = Path("out/demo"),
     scenes: PaperFolder = None,
-    frames: Annotated[
-        int | None, typer.Option("--frames", min=100, help="Sandwave pictures, if not 400.")
-    ] = None,
+    frames: int | None = Option(None, min=100, help="Number of sandwave pictures; 400 by default."),
     quick: Quick = False,
     json: Json = False,
 ) -> None:
-    """The paper's experiment: calibrate, scan, measure and compare, with a report."""
-    from lscan.paper.report import results_json
-    from sim.demo import run_demo
+    """Run the paper's experiment: calibrate, scan, measure and compare, with a report."""
+    from sim.demo import run_demo  # loads Mitsuba
 
     experiment = run_demo(scenes or scenes_folder() / "paper", output, frames, quick=quick)
-    if json:
-        print_json(results_json(experiment))
-        return
-    _print_experiment(experiment)
-    print(f"{output / 'report.html'}\n{output / 'results.json'}")
+    files = f"{output / 'report.html'}\n{output / 'results.json'}"
+    show(results_json(experiment), *_experiment_lines(experiment), files, json=json)
 
 
-def _print_experiment(experiment: Experiment) -> None:
+def _experiment_lines(experiment: Experiment) -> Iterator[str | Table]:
     points, truth = experiment.control_points, experiment.truth
     assert truth is not None and experiment.sandwave is not None
     line = truth.render_check
-    print(
+    yield (
         f"control points: {points.found} of {points.expected}, "
         f"{points.rms_px:.3f} px rms against the truth"
     )
-    print(
+    yield (
         f"noise-free line: {line.stripe_rms_px:.4f} px rms, "
         f"{line.stripe_max_px:.3f} px at most; with the light that the target and the water "
         f"scatter, {line.all_orders_rms_px:.4f} px rms"
@@ -134,8 +113,8 @@ def _print_experiment(experiment: Experiment) -> None:
         rms = (sum(length.error_mm**2 for length in lengths) / len(lengths)) ** 0.5
         rows.append([method, rms, max(abs(length.error_mm) for length in lengths)])
     title = "Tables I and II by the paper's maps and the baselines"
-    print_table(title, ["plane map", "rms error mm", "largest mm"], rows)
+    yield table(title, ["plane map", "rms error mm", "largest mm"], rows)
     yaw_deg = experiment.sandwave.alignment.yaw_deg
     if yaw_deg is not None:
-        print(f"yaw: {yaw_deg:.3f} deg, truth {truth.yaw_deg:.3f} deg")
-    print_chains(experiment)
+        yield (f"yaw: {yaw_deg:.3f} deg, truth {truth.yaw_deg:.3f} deg")
+    yield from chain_lines(experiment)

@@ -294,7 +294,7 @@ def _remarks(
         names = ", ".join(COUNTED)
         notes.append(
             f"The indices of {names} are known less well than ± {wanted:g}, which the study's "
-            "[precision] half_width asks for: its `most`, or --at-most, allows no more runs"
+            "[precision] half_width asks for: its `most` or --at-most does not allow enough runs"
         )
     return notes
 

@@ -181,6 +181,8 @@ def for_hardware(line: str) -> bool:
 def test_the_commands_run(
     page: Path, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    for program in APPS:  # each module of commands, before scenes_folder is another
+        assert all(built(program).commands.values())
     monkeypatch.setattr(typer, "prompt", lambda *_, **__: "")  # to put the cap on the lens
     for line in commands(page):
         if line.startswith(tuple(ELSEWHERE)):

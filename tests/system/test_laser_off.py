@@ -257,7 +257,7 @@ def commands(
     def run(bench: Bench, command: str) -> tuple[int, str, str]:
         monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
         rig_file = fake_rig(FRAMES, laser="on")
-        monkeypatch.setattr(lscan.config.rig, "load_rig", lambda _: rig_file)
+        monkeypatch.setattr("lscan.cli.scan.load_rig", lambda _: rig_file)
         rest = ("--port", 0) if command == "live" else ()
         return call(capsys, command, "rig.toml", "-o", tmp_path / "a", *rest)
 

@@ -19,7 +19,7 @@ from typing import Annotated
 import typer
 
 from lscan.acquisition.scan import cores
-from lscan.cli.console import print_table, progress_bar
+from lscan.cli.console import progress_bar, show, table
 from lscan.config.scenes import scenes_folder
 from lscan.figures.page import page_template
 from lscan.files.disk import list_names, make_folder, write_atomically
@@ -220,7 +220,7 @@ def validate(
     page = page_of(found, time.perf_counter() - started)
     write_atomically(output / "report.html", page.encode("utf-8"))
     for name, topics in found.items():
-        print_table(name, HEADINGS, table_cells(rows_of(topics)))
+        show(None, table(name, HEADINGS, table_cells(rows_of(topics))), json=False)
         print(output / f"{name}.json")
     rows = [row for topics in found.values() for row in rows_of(topics)]
     if photographs is None:

@@ -311,7 +311,7 @@ def test_the_command_refuses_what_does_not_fit(suite, tmp_path, capsys):
     options = ["bench", BASE, "--only", "-o", tmp_path]
     refused(call(capsys, *options, "--suite", suite, "--against", other), "is no saved run")
     refused(call(capsys, *options, "--suite", "nobodys"), "no such suite")
-    refused(call(capsys, *options, "--against", other), "is for suites")
+    refused(call(capsys, *options, "--against", other), "needs --suite")
     refused(call(capsys, *options, "--suite", suite, "--by", "colour"), "no such axis")
 
 

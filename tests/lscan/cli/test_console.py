@@ -7,14 +7,18 @@ from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
+import typer
 from command_line import call
+from typer.core import TyperGroup
 
+import lscan.cli.app
+import sim.cli.app
 from lscan.calibration.planemap import find_solver
 from lscan.cli import console
-from lscan.cli.console import EXTRACTORS, MAPS, note, print_table, progress_bar
+from lscan.cli.console import EXTRACTORS, MAPS, note, progress_bar, show, table
 from lscan.config.scenes import scene_about, scene_names, spec_names
 from lscan.records import Length
-from sim.cli.study import STUDIES
+from sim.cli.arguments import STUDIES
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -27,6 +31,31 @@ def test_the_list_of_commands_is_not_cut(capsys: pytest.CaptureFixture[str]) -> 
     text = said(capsys, "--help")
     assert "Find the board's control points in a picture and solve a plane map from them." in text
     assert "..." not in text.replace("[ARGS]...", "")
+
+
+@pytest.mark.parametrize("app", [lscan.cli.app.app, sim.cli.app.app], ids=["lscan", "lscan-sim"])
+def test_the_list_says_of_a_command_what_its_own_help_begins_with(app: typer.Typer) -> None:
+    groups = [typer.main.get_command(app)]
+    for group in groups:
+        assert isinstance(group, TyperGroup)
+        said = {name: group.commands.about(name) for name in group.commands}
+        groups += [one for one in group.commands.values() if isinstance(one, TyperGroup)]
+        for name, command in group.commands.items():  # loaded here at the latest
+            assert said[name] == command.get_short_help_str(limit=1000) != ""
+
+
+def test_the_list_of_commands_loads_none_of_them() -> None:
+    code = """
+import sys
+from lscan.cli.app import main
+sys.argv = ["lscan", "--help"]
+try:
+    main()
+finally:
+    print(*(name for name in sorted(sys.modules) if name.startswith("lscan.cli.")))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "lscan.cli.app lscan.cli.console"
 
 
 def test_help_names_all_extractors_maps_and_studies() -> None:
@@ -57,7 +86,7 @@ def test_no_suites_are_said(
 
 def test_a_table_shows_names_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [["[red]block[/red]", float("nan")], ["a[/]b", 1.0], ["\x1b[2Jclear\a", 2.0]]
-    print_table("[bold]shapes", ["name", "[mm]"], rows)
+    show(rows, table("[bold]shapes", ["name", "[mm]"], rows), json=False)
     text = capsys.readouterr().out
     for shown in ("[bold]shapes", "[mm]", "[red]block[/red]", "a[/]b", r"\x1b[2Jclear\x07", " – "):
         assert shown in text

@@ -126,7 +126,7 @@ def test_reconstruct_notes_that_few_columns_hold_a_line(command: Command, tmp_pa
     flat_run(tmp_path / "few", 1, lit=slice(300, 308))
     code, _, err = command("reconstruct", tmp_path / "few", "-o", str(tmp_path / "s.nc"))
     assert (code, err.count("\n")) == (0, 1)
-    says = r"lscan: note: a line in (\d+) of 640 columns alone; if the pictures show the board, "
+    says = r"lscan: note: only (\d+) of 640 columns hold a line; if the pictures show the board, "
     noted = re.match(says + "there is no surface to build", err)
     assert noted is not None
     surface = lscan.load_surface(tmp_path / "s.nc")

@@ -130,7 +130,7 @@ def test_a_surface_too_small_for_any_cells_says_so(surface_file):
 
 
 def test_what_does_not_fit_is_refused(surface_file, tmp_path, capsys):
-    refused(call(capsys, "roughness", surface_file, "--cell", "0"), "is no length")
-    refused(call(capsys, "roughness", surface_file, "--yaw", "50"), "is no yaw")
+    refused(call(capsys, "roughness", surface_file, "--cell", "0"), "is not a length")
+    refused(call(capsys, "roughness", surface_file, "--yaw", "50"), "is not a yaw")
     refused(call(capsys, "roughness", surface_file, "--frequency", "30"), "--sediment")
     refused(call(capsys, "roughness", surface_file, "--sediment", "moon dust"), "moon dust")

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from lscan.acquisition.writer import create_run
 from lscan.cli import devices as devices_cli
+from lscan.cli.console import show
 from lscan.config.rig import CameraSection, RigFile, load_rig, parse_rig
 from lscan.devices.api import Fact, Grab
 from lscan.devices.listing import rig_devices
@@ -173,7 +174,7 @@ def test_settings_are_listed_and_the_ignored_marked(
     assert found["gain"] == (30.0, 1.0, False)
     assert found["focus"] == (12.0, 12.0, True)
     assert {name for name, (_, _, obeyed) in found.items() if not obeyed} == {"gain"}
-    devices_cli._print_camera(trial)
+    show(None, *devices_cli._camera_lines(trial), json=False)
     marked = [
         line for line in capsys.readouterr().out.splitlines() if "│ no" in " ".join(line.split())
     ]

@@ -228,7 +228,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     size = {"width_px": 64, "height_px": 48}
     document = {"camera": {"driver": "x", **size}, "track": {"driver": "x"}}
     rig_file = parse_rig(document, source="rig.toml", trusted=True)
-    monkeypatch.setattr("lscan.config.rig.load_rig", lambda path: rig_file)
+    monkeypatch.setattr(devices_cli, "load_rig", lambda path: rig_file)
     return tmp_path / "rig.toml"
 
 

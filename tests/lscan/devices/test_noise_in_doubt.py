@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from lscan.cli import devices as devices_cli
+from lscan.cli.console import show
 from lscan.devices.api import Grab
 from lscan.devices.photontransfer import ROUNDING_DN, Levels, photon_transfer
-from lscan.devices.trials import CameraTrial, Repeatability, TrackTrial, noise_section, try_camera
+from lscan.devices.trials import CameraTrial, noise_section, try_camera
 from lscan.records import Bytes
 
 SHAPE = 96, 128
@@ -69,13 +70,12 @@ def dark_scene_with_a_line(first_dn: float = 30.0, last_dn: float = 160.0) -> An
 
 
 def printed(trial: CameraTrial, capsys: pytest.CaptureFixture[str]) -> str:
-    devices_cli._print_camera(trial)
+    show(None, *devices_cli._camera_lines(trial), json=False)
     return capsys.readouterr().out
 
 
 def as_json(trial: CameraTrial) -> Any:
-    track = TrackTrial({}, Repeatability(0.0, 2, 0.0, 0.0, 0.0, 0.0), ())
-    return devices_cli._trial_json(trial, track)["camera"]
+    return devices_cli._camera_json(trial)
 
 
 def test_a_lit_scene_of_a_linear_camera_leaves_no_doubt(
@@ -169,8 +169,8 @@ def test_read_noise_at_the_floor_of_rounding_is_a_bound() -> None:
     assert "of rounding alone" in noise_section(found)
 
 
-def test_a_bound_is_reported_as_a_bound(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_bound_is_reported_as_a_bound() -> None:
     mean_dn = np.array([10.0, 100.0])
     levels = Levels(mean_dn, 0.05 + 0.001 * mean_dn, np.full(2, 1e6), np.zeros(2))
-    devices_cli._print_noise(photon_transfer(levels))
-    assert "read noise at most 0.289 DN (rounding makes 0.289)" in capsys.readouterr().out
+    line = devices_cli._transfer_line(photon_transfer(levels))
+    assert "read noise at most 0.289 DN (rounding makes 0.289)" in line

@@ -10,7 +10,8 @@ import pytest
 import report_examples as examples
 
 from lscan.acquisition.run import Run
-from lscan.cli.measure import print_chains
+from lscan.cli.console import show
+from lscan.cli.report import chain_lines
 from lscan.config.rig import parse_rig
 from lscan.paper import published as paper
 from lscan.paper.experiment import (
@@ -168,7 +169,7 @@ def test_a_line_not_found_by_the_papers_rules_is_not_called_its_chain(both: Expe
 
 
 def test_the_summary_prints_both_chains(both: Experiment, capsys) -> None:
-    print_chains(both)
+    show(None, *chain_lines(both), json=False)
     printed = capsys.readouterr().out
     assert printed.startswith("Simulated tank, noise seed 7.\n")
     (line,) = (line for line in printed.splitlines() if line.startswith("│ H₂"))
@@ -180,7 +181,7 @@ def test_the_summary_prints_both_chains(both: Experiment, capsys) -> None:
     ]
     for name in ("S1", "SD"):
         assert f"│ {name}" in printed
-    print_chains(replace(both, best=None))
+    show(None, *chain_lines(replace(both, best=None)), json=False)
     assert "best" not in capsys.readouterr().out
 
 

@@ -2,7 +2,7 @@
 
 import logging
 
-from lscan.cli.console import print_table
+from lscan.cli.console import show, table
 from lscan.config.rig import load_rig
 from tests.validation.robustness.acquisition import agreement_rows, kill_rows
 from tests.validation.robustness.campaign import fault_rows, field_rows, kind_cells
@@ -53,5 +53,5 @@ def _fault_rows(faults: int) -> list[Row]:
     finally:
         logging.disable(before)
     headings = ["", "injected", "tolerated", "stopped the scan", "not clean"]
-    print_table("faults", headings, kind_cells(outcomes))
+    show(None, table("faults", headings, kind_cells(outcomes)), json=False)
     return rows
