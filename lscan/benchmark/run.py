@@ -100,8 +100,8 @@ def write_bench(
 ) -> dict[str, Any]:
     """What bench.json holds, written to ``folder`` with bench.png; InputError from the disk."""
     content = {
-        "extractors": [_judged(row, failed_of_extractor(row)) for row in extractors],
-        "maps": [_judged(row, failed_of_map(row)) for row in maps],
+        "extractors": [_row_content(row, failed_of_extractor(row)) for row in extractors],
+        "maps": [_row_content(row, failed_of_map(row)) for row in maps],
     }
     make_folder(folder)
     write_json(folder / "bench.json", content)
@@ -109,7 +109,7 @@ def write_bench(
     return content
 
 
-def _judged(row: ExtractorRow | MapRow, failed: list[str]) -> dict[str, Any]:
+def _row_content(row: ExtractorRow | MapRow, failed: list[str]) -> dict[str, Any]:
     """The row in JSON types, null for what is no number, and which figures are out of limits."""
     written: dict[str, Any] = to_jsonable_python(row, inf_nan_mode="null")
     return {**written, "failed": failed, "passed": not failed}

@@ -77,7 +77,7 @@ def bench(
     """
     from lscan.benchmark.judging import CHAINS
     from lscan.benchmark.run import MAPS, registered_extractors
-    from lscan.benchmark.suiterun import run_boards, run_chains, run_suite
+    from lscan.benchmark.suiterun import run_suite
 
     if reader and not boards:
         raise InputError("is for boards", where="--reader", allowed="--boards beside it")
@@ -87,7 +87,8 @@ def bench(
             raise InputError("is for the scans of a suite", where="--chain",
                              allowed="--suite alone beside it")  # fmt: skip
         with progress_bar("bench") as progress:
-            run = run_chains(suite, _taking_part(() if only else CHAINS, chain), progress)
+            chains = _taking_part(() if only else CHAINS, chain)
+            run = run_suite(suite, {"chain": chains}, progress=progress)
         _end_with_run(run, "mm", output, by, against, json)
         return
     if boards:
@@ -98,7 +99,7 @@ def bench(
         readers = _taking_part(() if only else ("read_board",), reader)
         maps = _taking_part(() if only else MAPS, plane_map)
         with progress_bar("bench") as progress:
-            run = run_boards(suite, readers, maps, progress)
+            run = run_suite(suite, {"reader": readers, "map": maps}, progress=progress)
         _end_with_run(run, "px, of maps mm", output, by, against, json)
         return
     extractors = _taking_part(() if only else registered_extractors(), more)
@@ -110,7 +111,7 @@ def bench(
             where = "--map" if plane_map else "--quick"
             raise InputError("is not for the lines of a suite", where=where, allowed=allowed)
         with progress_bar("bench") as progress:
-            run = run_suite(suite, extractors, seed, progress)
+            run = run_suite(suite, {"extractor": extractors}, seed, progress)
         _end_with_run(run, "px", output, by, against, json)
         return
     if by or against:
@@ -178,13 +179,12 @@ def _end_with_run(
         tables = [by] if by else [[], *([axis] for axis in usual_axes(run))]
         for axes in tables:
             _print_rows(suite_rows(run, axes), unit)
-        extractors = {one.extractor: one.sums for one in run.judged}
-        compared = between(extractors) if against is None else changed
+        compared = between(run.sums) if against is None else changed
         for one in compared:
             print(one.in_words)
         if against is not None and changed:
             print(*changes_in_words(run, against), sep="\n")
-        if not compared and (against is not None or len(extractors) > 1):
+        if not compared and (against is not None or len(run.sums) > 1):
             print("nothing differs")
         print(output / "bench.json")
     worse = sum(one.worse for one in changed)

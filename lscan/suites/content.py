@@ -355,7 +355,7 @@ class CaseTruth:
     status: Ints
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SuiteCase:
     """One picture of a suite.
 
@@ -410,7 +410,7 @@ class SuiteCase:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BoardCase:
     """One picture of the calibration board.
 
@@ -467,7 +467,7 @@ class BoardCase:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScanCase:
     """One scan, with the board that its rig is calibrated by.
 
