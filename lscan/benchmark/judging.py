@@ -36,7 +36,6 @@ from lscan.records import (
     Floats,
     Ints,
     Length,
-    Marks,
     Mask,
     Profile,
     Status,
@@ -117,11 +116,10 @@ CaseRows = Mapping[str, tuple[CaseSums | None, Sequence[WorstColumn]]]
 The worst columns are of extractors alone.
 """
 Judge = Callable[[Any], CaseRows]
+CaseResult = tuple[str, CaseRows, float]  # with its name, and seconds of the reference workload
 
 
-def judge(
-    named: Iterable[tuple[str, str]], cases: Iterable[AnyCase]
-) -> Iterator[tuple[str, CaseRows, float]]:
+def judge(named: Iterable[tuple[str, str]], cases: Iterable[AnyCase]) -> Iterator[CaseResult]:
     """Each case in turn: its name, what becomes of it, and the reference workload's seconds.
 
     Pictures of a line take milliseconds: the first is judged once before, for what is compiled or
@@ -419,7 +417,12 @@ def judge_reader(name: str, reader: BoardReader, case: BoardCase) -> CaseSums:
     found, seconds = _outcome(name, reader, case.picture, case.board)
     places, sigma = np.full_like(true.image_px, np.nan), np.full(len(true.status), np.nan)
     if found is not None:
-        places, sigma = _all_marks(name, found, true)
+        marks = joined_marks(found)  # in the case's order
+        if len(marks.status) != len(true.status):
+            raise InputError(f"{name} gave another number of marks", where="bench",
+                             value=len(marks.status), allowed=len(true.status))  # fmt: skip
+        places = np.where(marks.found[:, np.newaxis], marks.image_px, np.nan)
+        sigma = marks.sigma_px
     shown = true.status == Status.OK
     valued = np.isfinite(places[:, 0] + places[:, 1])
     error = np.where(shown[:, np.newaxis], places - true.image_px, np.nan)
@@ -460,15 +463,6 @@ def map_sums(solved: PlaneMap | None, case: BoardCase, seconds: float) -> CaseSu
     valued = np.isfinite(places[:, 0] + places[:, 1])
     limit = WRONG_PITCHES * case.board.grid.pitch_mm
     return coordinate_sums(whole, valued, places - case.map_mm, sigma, limit, seconds)
-
-
-def _all_marks(name: str, found: BoardReading, true: Marks) -> tuple[Floats, Floats]:
-    """(N, 2) px and (N,) their sigmas, of control points and rulers' marks in the case's order."""
-    marks = joined_marks(found)
-    if len(marks.status) != len(true.status):
-        raise InputError(f"{name} gave another number of marks", where="bench",
-                         value=len(marks.status), allowed=len(true.status))  # fmt: skip
-    return np.where(marks.found[:, np.newaxis], marks.image_px, np.nan), marks.sigma_px
 
 
 # Whole chains judged on a suite's scans: from the board's picture to points, grooves and slices.
@@ -566,10 +560,15 @@ def _chain_profiles(case: ScanCase, rig: Rig, plane_map: PlaneMap) -> list[Profi
 def _point_sums(
     profiles: list[Profile] | None, rig: Rig, case: ScanCase, seconds: float
 ) -> CaseSums:
-    """(x, z) of every column with a clear line, corrected for what the chain corrects for."""
-    line = case.status == Status.OK
+    """(x, z) of every column with a clear line, corrected for what the chain corrects for.
+
+    Beyond the board, no map is known to hold.
+    """
+    line, on_board = case.status == Status.OK, case.board.map_mm
+    with np.errstate(invalid="ignore"):
+        inside = (case.line_mm >= on_board.min(axis=0)) & (case.line_mm <= on_board.max(axis=0))
     least_dn = CLEAR_OF_THRESHOLD * rig.stripe.threshold_dn
-    clear = line & (case.multiple == 0) & (case.height_dn > least_dn) & _on_board(case)
+    clear = line & (case.multiple == 0) & (case.height_dn > least_dn) & inside.all(axis=-1)
     dark: Mask = ~np.stack([beside_line(of) for of in line])
     places = np.full_like(case.line_mm, np.nan)
     sigma = np.full_like(case.line_mm, np.nan)
@@ -582,14 +581,6 @@ def _point_sums(
     return coordinate_sums(
         clear.ravel(), valued, error, sigma.reshape(-1, 2), WRONG_MM, seconds, dark=dark.ravel()
     )
-
-
-def _on_board(case: ScanCase) -> Mask:
-    """(F, N) the points within the board, beyond which no map is known to hold."""
-    low, high = case.board.map_mm.min(axis=0), case.board.map_mm.max(axis=0)
-    with np.errstate(invalid="ignore"):
-        inside: Mask = ((case.line_mm >= low) & (case.line_mm <= high)).all(axis=-1)
-    return inside
 
 
 def _groove_sums(

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -223,7 +224,7 @@ def run_bench(
     seed : int
         Of all random numbers.
     progress : callable, optional
-        Called with (done, all) after each kind of line and each board.
+        Called with (done, all) after each row.
 
     Returns
     -------
@@ -242,19 +243,18 @@ def run_bench(
     for name in maps:
         find_solver(name)
     make_folder(folder)
-    kinds = len(list(cases(quick))) if extractors else 0
-    total = kinds + (len(list(board_cases(quick))) if maps else 0)
-
-    def step(done: int) -> None:
-        if progress is not None:
-            progress(done, total)
-
     pictures, draws = (QUICK_PICTURES, QUICK_DRAWS) if quick else (PICTURES, DRAWS)
-    of_lines = bench_extractors(extractors, seed, pictures, quick, step) if extractors else []
-    of_boards = (
-        bench_maps(maps, seed, draws, quick, lambda done: step(kinds + done)) if maps else []
-    )
-    return Benchmark(of_lines, of_boards, write_bench(folder, of_lines, of_boards))
+    of_lines = bench_extractors(extractors, seed, pictures, quick)
+    of_boards = bench_maps(maps, seed, draws, quick)
+    total = len(extractors) * len([*cases(quick)]) + len(maps) * len([*board_cases(quick)])
+    rows: list[ExtractorRow | MapRow] = []
+    for row in chain(of_lines if extractors else (), of_boards if maps else ()):
+        rows.append(row)
+        if progress is not None:
+            progress(len(rows), total)
+    lines = [row for row in rows if isinstance(row, ExtractorRow)]
+    boards = [row for row in rows if isinstance(row, MapRow)]
+    return Benchmark(lines, boards, write_bench(folder, lines, boards))
 
 
 # A page that ranks what saved runs of suites say: one table for each suite.

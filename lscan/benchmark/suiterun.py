@@ -9,7 +9,7 @@ import signal
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, astuple, dataclass
 from functools import lru_cache, partial
 from itertools import chain
@@ -26,7 +26,7 @@ from lscan.benchmark.drawn import SHAPE, centres, draw, draw_worst
 from lscan.benchmark.judging import (
     ROLES,
     SUMS,
-    CaseRows,
+    CaseResult,
     CaseSums,
     WorstColumn,
     judge,
@@ -109,6 +109,7 @@ def run_suite(
     if not source.axes:
         raise InputError(f"has no {KINDS[kind][0]}", where="--suite", value=suite)
     cases = sorted(source.axes)
+    opened: AbstractContextManager[Iterator[CaseResult]]
     if source.path is not None and len(cases) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
         opened = judge_shared(source.path, named, cases)
     else:
@@ -138,7 +139,7 @@ _OPTIONS = {
 @contextmanager
 def judge_shared(
     path: Path, named: Sequence[tuple[str, str]], cases: Sequence[str]
-) -> Iterator[Iterator[tuple[str, CaseRows, float]]]:
+) -> Iterator[Iterator[CaseResult]]:
     """As ``judge``, by a process for each core.
 
     Parameters
@@ -158,7 +159,7 @@ def judge_shared(
 
 def _judge_group(
     path: Path, named: Sequence[tuple[str, str]], cases: Sequence[str]
-) -> list[tuple[str, CaseRows, float]]:
+) -> list[CaseResult]:
     return list(judge(named, map(_opened(path).case, cases)))
 
 
@@ -434,7 +435,7 @@ def differences(
         pairs = np.array([[of(now[case]), of(before[case])] for case in common]).reshape(-1, 2)
         difference = pairs[:, 0] - pairs[:, 1]
         difference = difference[np.abs(difference) > EQUAL]  # NaN, too, is left out
-        p = _probability(difference)
+        p = float(wilcoxon(difference).pvalue) if len(difference) else 1.0
         if p < FALSE_ALARMS / len(FIGURES):
             low, typical, high = pseudo_median(difference)
             worse = typical > 0
@@ -489,13 +490,6 @@ def before_and_after(now: Mapping[str, CaseSums], before: Mapping[str, CaseSums]
         f"{rms(now, common):.4f} px, of {sum(now[case].core for case in common):.0f} columns in "
         f"{len(common)} cases; changed most: {most}"
     )
-
-
-def _probability(difference: Floats) -> float:
-    """Two-sided, of the signed-rank test; 1 where nothing differs."""
-    if len(difference) == 0:
-        return 1.0
-    return float(wilcoxon(difference).pvalue)
 
 
 def pseudo_median(values: Floats) -> tuple[float, float, float]:

@@ -453,8 +453,8 @@ class BoardCase:
     def read(cls, of: CaseMembers) -> "BoardCase":
         """The case whose ``parts`` are members; InputError, which names one that is harmed."""
         board, marks = of.section(Board, BOARD), of.table(MARKS_TRUTH, TRUTH)
-        count = sum(len(one.points_mm()) for one in (board.grid, *board.ruler))
-        if len(marks) != count:
+        count = len(board.grid.points_mm())
+        if len(marks) != count + sum(len(ruler.points_mm()) for ruler in board.ruler):
             raise of.differ("marks")
         status, places = marks[:, 4], of.table(MAP_TRUTH, MAP)
         shown = status == Status.OK

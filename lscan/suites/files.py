@@ -88,8 +88,7 @@ def write_manifest(
     cases : mapping, the axes of each picture of a line
     boards, scans : mapping or None, likewise of the board, and of whole scans
     """
-    boards, scans = boards or {}, scans or {}
-    every = (*cases, *boards, *scans)
+    every = (*cases, *(boards or {}), *(scans or {}))
     files = sorted(file for case in every for file in (folder / case).iterdir())
     members = {
         f"{file.parent.name}/{file.name}": member_sum(read_bytes(file, MOST_MEMBER_BYTES, folder))
@@ -97,14 +96,9 @@ def write_manifest(
         if not file.name.startswith(".")
     }
     content = SuiteContent(
-        name=name,
-        seed=seed,
-        made_by=made_by,
-        cases=cases,
-        boards=boards,
-        scans=scans,
-        members=members,
-    )
+        name=name, seed=seed, made_by=made_by, members=members, cases=cases, boards=boards or {},
+        scans=scans or {},
+    )  # fmt: skip
     write_atomically(folder / MANIFEST, manifest_bytes(content))
     return content
 
