@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass, fields
 from functools import lru_cache, partial
 from heapq import nlargest
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy.special import erf
@@ -135,7 +135,7 @@ def judge(named: Iterable[tuple[str, str]], cases: Iterable[AnyCase]) -> Iterato
     InputError
         There is no such method, one fails, or a case is harmed.
     """
-    judges = [ROLES[role][1](name) for role, name in named]
+    judges = [ROLES[role].judge(name) for role, name in named]
     for number, case in enumerate(cases):
         brief = isinstance(case, SuiteCase)
         for one in judges if brief and number == 0 else ():
@@ -615,10 +615,18 @@ def _chain_slice(profiles: list[Profile], rig: Rig, case: ScanCase) -> Slice:
     return sample(built.surface, case.slices_mm[:, :2])
 
 
-ROLES: Mapping[str, tuple[str, Callable[[str], Judge]]] = {
-    "extractor": ("cases", extractor_judge),
-    "reader": ("boards", reader_judge),
-    "map": ("boards", map_judge),
-    "chain": ("scans", chain_judge),
+class _Role(NamedTuple):
+    """cases: of a suite's manifest, that judge it.  option: of ``lscan bench``."""
+
+    cases: str
+    judge: Callable[[str], Judge]
+    option: str = ""
+
+
+ROLES: Mapping[str, _Role] = {
+    "extractor": _Role("cases", extractor_judge),
+    "reader": _Role("boards", reader_judge, "--boards --reader "),
+    "map": _Role("boards", map_judge, "--boards --map "),
+    "chain": _Role("scans", chain_judge, "--chain "),
 }
-"""What a method may be: the kind of a suite's cases that it is judged by, and what judges it."""
+"""What a method may be."""

@@ -244,11 +244,13 @@ def run_bench(
         find_solver(name)
     make_folder(folder)
     pictures, draws = (QUICK_PICTURES, QUICK_DRAWS) if quick else (PICTURES, DRAWS)
-    of_lines = bench_extractors(extractors, seed, pictures, quick)
-    of_boards = bench_maps(maps, seed, draws, quick)
+    every: Iterable[ExtractorRow | MapRow] = chain(
+        bench_extractors(extractors, seed, pictures, quick) if extractors else (),
+        bench_maps(maps, seed, draws, quick) if maps else (),
+    )
     total = len(extractors) * len([*cases(quick)]) + len(maps) * len([*board_cases(quick)])
     rows: list[ExtractorRow | MapRow] = []
-    for row in chain(of_lines if extractors else (), of_boards if maps else ()):
+    for row in every:
         rows.append(row)
         if progress is not None:
             progress(len(rows), total)

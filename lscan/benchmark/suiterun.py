@@ -45,7 +45,7 @@ DRAWN = "drawn"
 AT_ONCE = 20  # cases
 LEAST_SHARED = 100  # cases: fewer are judged before other processes have begun
 USUAL_AXES = ("water", "target", "fault")
-KINDS: Mapping[str, tuple[str, str]] = {
+_IN_WORDS: Mapping[str, tuple[str, str]] = {
     "cases": ("pictures of a line", "an extractor"),
     "boards": ("pictures of the board", "a reader or a map"),
     "scans": ("scans", "a chain"),
@@ -99,15 +99,16 @@ def run_suite(
     InputError
         There is no such suite or method, the suite has no such cases, or a method fails.
     """
-    (kind,) = {ROLES[role][0] for role in methods}
+    (kind,) = {ROLES[role].cases for role in methods}
+    shown, allowed = _IN_WORDS[kind]
     named = [(role, name) for role, names in methods.items() for name in names]
     if not named:
-        raise InputError("nothing to judge", where="bench", allowed=KINDS[kind][1])
+        raise InputError("nothing to judge", where="bench", allowed=allowed)
     for role, name in named:
-        ROLES[role][1](name)  # unknown ones are refused before any work
+        ROLES[role].judge(name)  # unknown ones are refused before any work
     source = CaseSource.of(suite, kind, seed)
     if not source.axes:
-        raise InputError(f"has no {KINDS[kind][0]}", where="--suite", value=suite)
+        raise InputError(f"has no {shown}", where="--suite", value=suite)
     cases = sorted(source.axes)
     opened: AbstractContextManager[Iterator[CaseResult]]
     if source.path is not None and len(cases) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
@@ -126,14 +127,9 @@ def run_suite(
             if progress is not None:
                 progress(done, len(cases))
     found = {name: of for name, of in sums.items() if of}  # not all scans have grooves
-    asked = " ".join(f"{_OPTIONS[role]}{name}" for role, name in named)
+    asked = " ".join(f"{ROLES[role].option}{name}" for role, name in named)
     reference = float(np.nanmedian(reference_s))
     return SuiteRun(source.identity, source.axes, found, worst, reference, asked)
-
-
-_OPTIONS = {
-    "extractor": "", "reader": "--boards --reader ", "map": "--boards --map ", "chain": "--chain ",
-}  # fmt: skip
 
 
 @contextmanager
@@ -183,7 +179,7 @@ class CaseSource:
         Parameters
         ----------
         suite : str, DRAWN, the name of a suite that is found, or its path
-        kind : str, a key of KINDS; of drawn lines there are no others than "cases"
+        kind : str, "cases", "boards" or "scans"; of drawn lines there are "cases" alone
         seed : int, of drawn lines
         """
         if suite == DRAWN:

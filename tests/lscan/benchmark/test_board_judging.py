@@ -97,6 +97,19 @@ def test_a_reader_is_said_to_be_what_it_is(suite):
     assert {row.group["water"]: row.cases for row in by_water} == {"tap": 6, "harbor": 6}
 
 
+def test_several_processes_judge_boards_as_one_does(suite, monkeypatch):
+    methods = {"reader": [_named(exact_reader), _named(blind_reader)], "map": ["polynomial-3"]}
+    alone = run_suite(str(suite), methods)
+    monkeypatch.setattr("lscan.benchmark.suiterun.LEAST_SHARED", 1)
+    monkeypatch.setattr("lscan.benchmark.suiterun.AT_ONCE", 8)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    shared = run_suite(str(suite), methods)
+    assert [*alone.sums] == [*shared.sums] == [*methods["reader"], *methods["map"]]
+    for name, sums in alone.sums.items():
+        for case, of in sums.items():
+            assert replace(of, seconds=0.0) == replace(shared.sums[name][case], seconds=0.0)
+
+
 def test_a_mark_that_is_not_to_be_seen_is_a_ghost():
     case = suite_cases.board_case(1)
     hidden = np.arange(len(case.marks.status)) < 3
