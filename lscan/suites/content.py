@@ -394,7 +394,12 @@ class SuiteCase:
 
     @classmethod
     def read(cls, of: CaseMembers) -> "SuiteCase":
-        """The case whose ``parts`` are members; InputError, which names one that is harmed."""
+        """The case whose ``parts`` are members; InputError, which names one that is harmed.
+
+        Parameters
+        ----------
+        of : CaseMembers
+        """
         picture, labels = of.png(PICTURE), of.png(LABELS)
         dark, light = (of.png(part) if of.has(part) else None for part in (DARK, LAYERS))
         truth, settings = of.table(LINE_TRUTH, TRUTH).T, of.section(StripeSection, SETTINGS)
@@ -451,7 +456,12 @@ class BoardCase:
 
     @classmethod
     def read(cls, of: CaseMembers) -> "BoardCase":
-        """The case whose ``parts`` are members; InputError, which names one that is harmed."""
+        """The case whose ``parts`` are members; InputError, which names one that is harmed.
+
+        Parameters
+        ----------
+        of : CaseMembers
+        """
         board, marks = of.section(Board, BOARD), of.table(MARKS_TRUTH, TRUTH)
         count = len(board.grid.points_mm())
         if len(marks) != count + sum(len(ruler.points_mm()) for ruler in board.ruler):
@@ -526,7 +536,12 @@ class ScanCase:
 
     @classmethod
     def read(cls, of: CaseMembers) -> "ScanCase":
-        """The case whose ``parts`` are members; InputError, which names one that is harmed."""
+        """The case whose ``parts`` are members; InputError, which names one that is harmed.
+
+        Parameters
+        ----------
+        of : CaseMembers
+        """
         board, rig = BoardCase.read(of), of.section(Rig, RIG)
         size = (rig.camera.height_px, rig.camera.width_px)
         frames = tuple(of.png(FRAME.format(k)) for k in range(rig.plan.frames))
