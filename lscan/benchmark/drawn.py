@@ -168,7 +168,7 @@ def image_px(xz_mm: Floats) -> Floats:
     return project(CAMERA, head @ np.column_stack([right, down, ahead]))
 
 
-def _ruled(grid: Grid) -> Board:
+def _ruled_board(grid: Grid) -> Board:
     """The grid with the paper's kind of rulers: marks every 10 mm half-way between dots."""
     width, height = (grid.columns - 1) * grid.pitch_mm, (grid.rows - 1) * grid.pitch_mm
     middle = grid.pitch_mm / 2
@@ -181,7 +181,7 @@ def _ruled(grid: Grid) -> Board:
 
 
 BOARDS: Mapping[str, Board] = {
-    "paper": _ruled(Grid(columns=10, rows=10, pitch_mm=50.0, dot_diameter_mm=5.0)),
+    "paper": _ruled_board(Grid(columns=10, rows=10, pitch_mm=50.0, dot_diameter_mm=5.0)),
     "dots alone": Board(grid=Grid(columns=10, rows=10, pitch_mm=50.0, dot_diameter_mm=5.0)),
     "coarse": Board(grid=Grid(columns=6, rows=6, pitch_mm=90.0, dot_diameter_mm=8.0)),
     "dense": Board(grid=Grid(columns=31, rows=31, pitch_mm=15.0, dot_diameter_mm=5.0)),

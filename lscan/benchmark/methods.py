@@ -33,7 +33,7 @@ from lscan.stripe.picture import stated_noise
 Result = TypeVar("Result")
 
 
-def timed(call: Callable[[], Result]) -> tuple[float, Result]:
+def time_call(call: Callable[[], Result]) -> tuple[float, Result]:
     """Seconds of a call, and what it returns.
 
     Parameters
@@ -42,7 +42,7 @@ def timed(call: Callable[[], Result]) -> tuple[float, Result]:
 
     Examples
     --------
-    >>> seconds, total = timed(lambda: sum(range(10)))
+    >>> seconds, total = time_call(lambda: sum(range(10)))
     >>> total, seconds < 1
     (45, True)
     """
@@ -66,7 +66,7 @@ def median_seconds(call: Callable[[], object], repeats: int) -> float:
     float
     """
     call()
-    return float(np.median([timed(call)[0] for _ in range(repeats)]))
+    return float(np.median([time_call(call)[0] for _ in range(repeats)]))
 
 
 # Every stripe extractor on every kind of line: bias, scatter, bound, share found, speed.
@@ -311,7 +311,7 @@ def _map_row(
     errors, ratios, covered, solving, mapping = [], [], [], [], []
     for reading in readings:
         try:
-            seconds, solved = timed(partial(solve, reading, OPTICS))
+            seconds, solved = time_call(partial(solve, reading, OPTICS))
         except (InputError, BoardNotFound) as refusal:
             return MapRow(name, board, noise_px, nan, nan, nan, 0.0, nan, nan, str(refusal))
         solving.append(seconds)
@@ -322,7 +322,7 @@ def _map_row(
         ratios.append(np.abs(error_mm) / answer.sigma_mm[known])
         covered.append(float(known.mean()))
         profile = partial(solved.to_plane, pixels[:POINTS], np.full(POINTS, 0.05))
-        mapping.append(timed(profile)[0])
+        mapping.append(time_call(profile)[0])
     error, ratio = np.concatenate(errors), np.concatenate(ratios)
     if len(error) == 0:
         error = ratio = np.array([nan])
