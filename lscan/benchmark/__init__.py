@@ -1,5 +1,6 @@
-"""Every stripe extractor and every plane map on pictures and boards whose truth is known.
+"""Methods judged by pictures whose truth is known: ``lscan bench``, ``lscan bench --suite``.
 
-``pictures`` draws laser lines, ``extractors`` reads them; ``boards`` shows calibration boards
-through a port, ``maps`` solves them; ``page`` lays out table and picture, ``run`` does it all.
+``drawn`` draws lines and boards; ``methods`` measures every extractor and every plane map by them,
+``run`` lays out table and picture.  ``judging`` judges by the cases of a suite, ``suiterun`` runs
+that and compares two runs.
 """

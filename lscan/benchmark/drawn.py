@@ -7,14 +7,14 @@ orders, median over the columns clear of edges); the form fits them to a fifth f
 40 px.  Then come speckle, shot noise, reading noise, the end of the range, and 8 bits.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import erf
 
-from lscan.benchmark.judging import WORST, JudgedExtractor
+from lscan.benchmark.judging import WORST, WorstColumn
 from lscan.camera import CameraModel, PortModel, project
 from lscan.config.board import Board, Grid, Ruler
 from lscan.config.rig import NoiseSection, OpticsSection
@@ -168,7 +168,7 @@ def image_px(xz_mm: Floats) -> Floats:
     return project(CAMERA, head @ np.column_stack([right, down, ahead]))
 
 
-def _ruled(grid: Grid) -> Board:
+def _ruled_board(grid: Grid) -> Board:
     """The grid with the paper's kind of rulers: marks every 10 mm half-way between dots."""
     width, height = (grid.columns - 1) * grid.pitch_mm, (grid.rows - 1) * grid.pitch_mm
     middle = grid.pitch_mm / 2
@@ -181,7 +181,7 @@ def _ruled(grid: Grid) -> Board:
 
 
 BOARDS: Mapping[str, Board] = {
-    "paper": _ruled(Grid(columns=10, rows=10, pitch_mm=50.0, dot_diameter_mm=5.0)),
+    "paper": _ruled_board(Grid(columns=10, rows=10, pitch_mm=50.0, dot_diameter_mm=5.0)),
     "dots alone": Board(grid=Grid(columns=10, rows=10, pitch_mm=50.0, dot_diameter_mm=5.0)),
     "coarse": Board(grid=Grid(columns=6, rows=6, pitch_mm=90.0, dot_diameter_mm=8.0)),
     "dense": Board(grid=Grid(columns=31, rows=31, pitch_mm=15.0, dot_diameter_mm=5.0)),
@@ -249,20 +249,21 @@ DPI = 90
 
 
 @style.styled
-def draw_worst(judged: JudgedExtractor) -> bytes:
+def draw_worst(extractor: str, worst: Sequence[WorstColumn]) -> bytes:
     """The picture, PNG: the part about each of the worst columns, truth and what was found.
 
     Parameters
     ----------
-    judged : JudgedExtractor, with at least one such column
+    extractor : str, its name
+    worst : sequence of WorstColumn, one at least
     """
     figure = Figure(figsize=(15.0, 6.5), layout="constrained")
-    figure.suptitle(f"{judged.extractor}: true +, found ×; grey values as their square roots")
+    figure.suptitle(f"{extractor}: true +, found ×; grey values as their square roots")
     panels = np.ravel(figure.subplots(2, WORST // 2))
     for axes in panels:
         axes.set_axis_off()
         axes.set(xticks=[], yticks=[])  # else labels are laid out, not drawn
-    for axes, one in zip(panels, judged.worst, strict=False):
+    for axes, one in zip(panels, worst, strict=False):
         axes.imshow(np.sqrt(one.part), cmap="gray", aspect="auto")
         axes.plot(*one.true, "+", color="tab:green", markersize=12)
         axes.plot(*one.found, "x", color="tab:red", markersize=9)

@@ -1,15 +1,18 @@
-"""Extractors judged on the cases of a suite: each case's errors against the truth, as sums.
+"""Methods judged by the cases of a suite: each case's errors against the truth, as sums.
 
 The sums of cases add up to those of any group of cases, and two runs of one suite are compared case
-by case.
+by case.  First what is common to all, then extractors by pictures of a line, readers and maps by
+pictures of the board, and chains by whole scans.
 """
 
+import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields
+from functools import lru_cache, partial
 from heapq import nlargest
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from scipy.special import erf
@@ -27,10 +30,21 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError, LscanError
 from lscan.measure import groove_dimensions
 from lscan.pipeline import build_surface, correct, finish
-from lscan.records import BoardReading, Bytes, Floats, Ints, Marks, Mask, Profile, Status, has_value
-from lscan.stripe import extract_stripe
+from lscan.records import (
+    BoardReading,
+    Bytes,
+    Floats,
+    Ints,
+    Length,
+    Mask,
+    Profile,
+    Status,
+    has_value,
+)
+from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.extract import extract_stripes
-from lscan.suites import BoardCase, ScanCase, SuiteCase
+from lscan.suites import BoardCase, CaseTruth, ScanCase, SuiteCase
+from lscan.suites.files import AnyCase
 from lscan.surface.surface import Slice, sample, to_profiles
 
 OUTLYING = 3.0  # standard deviations of the line's width, within which is 99.7 % of its light
@@ -96,59 +110,39 @@ class WorstColumn:
     found: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class JudgedExtractor:
-    """What an extractor, a reader of boards, a plane map or a chain made of a suite.
+CaseRows = Mapping[str, tuple[CaseSums | None, Sequence[WorstColumn]]]
+"""What becomes of a case, by the name of a method or of a part of one; None: it has no such part.
 
-    Attributes
-    ----------
-    extractor : str, its name
-    sums : mapping, of each case by its name
-    worst : tuple of WorstColumn, the worst first; of extractors alone
-    asked : str, what ``lscan bench`` is given to judge it; "": its name
-    """
-
-    extractor: str
-    sums: dict[str, CaseSums]
-    worst: tuple[WorstColumn, ...]
-    asked: str = ""
+The worst columns are of extractors alone.
+"""
+Judge = Callable[[Any], CaseRows]
+CaseResult = tuple[str, CaseRows, float]  # with its name, and seconds of the reference workload
 
 
-def judge(
-    names: Sequence[str], cases: Iterable[SuiteCase], step: Callable[[], None] = lambda: None
-) -> tuple[list[JudgedExtractor], float]:
-    """Each extractor on each case, in turn.
+def judge(named: Iterable[tuple[str, str]], cases: Iterable[AnyCase]) -> Iterator[CaseResult]:
+    """Each case in turn: its name, what becomes of it, and the reference workload's seconds.
+
+    Pictures of a line take milliseconds: the first is judged once before, for what is compiled or
+    imported by that is no time of a picture, and the reference is NaN but for every tenth.
 
     Parameters
     ----------
-    names : sequence of str, of extractors; ``package.module:function`` too
-    cases : iterable
-    step : callable, called after each case
-
-    Returns
-    -------
-    One record for each extractor, and the median seconds of the reference workload.
+    named : iterable of roles, as of ROLES, and names
+    cases : iterable, of the kind that these are judged by
 
     Raises
     ------
     InputError
-        An extractor is unknown or fails, or a case is harmed.
+        There is no such method, one fails, or a case is harmed.
     """
-    judged = {name: JudgedExtractor(name, {}, ()) for name in names}
-    reference = []
+    judges = [ROLES[role].judge(name) for role, name in named]
     for number, case in enumerate(cases):
-        if number == 0:  # what is compiled or imported at the first call is no time of a picture
-            for name in names:
-                judge_case(name, case)
-        if number % REFERENCE_EVERY == 0:
-            reference.append(reference_seconds())
-        for name in names:
-            sums, worst = judge_case(name, case)
-            known = judged[name]
-            known.sums[case.name] = sums
-            judged[name] = replace(known, worst=worst_of((*known.worst, *worst)))
-        step()
-    return list(judged.values()), float(np.median(reference or [np.nan]))
+        brief = isinstance(case, SuiteCase)
+        for one in judges if brief and number == 0 else ():
+            one(case)
+        reference_s = math.nan if brief and number % REFERENCE_EVERY else reference_seconds()
+        rows = {name: row for one in judges for name, row in one(case).items()}
+        yield case.name, rows, reference_s
 
 
 def worst_of(columns: Iterable[WorstColumn]) -> tuple[WorstColumn, ...]:
@@ -159,6 +153,122 @@ def worst_of(columns: Iterable[WorstColumn]) -> tuple[WorstColumn, ...]:
     columns : iterable
     """
     return tuple(nlargest(WORST, columns, key=lambda one: abs(one.error_px)))
+
+
+def coordinate_sums(
+    shown: Mask,
+    valued: Mask,
+    error: Floats,
+    sigma: Floats,
+    limit: Floats | float,
+    seconds: float,
+    *,
+    needed: Mask | bool = True,
+    dark: Mask | None = None,
+    bound: Floats | float = 0.0,
+) -> CaseSums:
+    """The sums over columns, or over the coordinates of marks and points.
+
+    Parameters
+    ----------
+    shown, valued : (N,) array, whether one is to be seen, and whether it has a value
+    error, sigma : (N, C) array, px or mm, of its C coordinates
+    limit : (N,) array or float, of the error's length, beyond which a value is wrong
+    seconds : float, that it took
+    needed : (N,) array, which of those shown must have a value; else all
+    dark : (N,) array, those of which a value is a ghost; else all that are not shown
+    bound : (N,) array, square of the least standard deviation; 0 where none is known
+    """
+    both, clear = shown & valued, shown & needed
+    dark = ~shown if dark is None else dark
+    off = np.where(both[:, np.newaxis], error, 0.0)
+    spread = np.where(both[:, np.newaxis] & (sigma > 0), sigma, 1e-9)
+    z = np.abs(off) / spread
+    wrong = both & (np.linalg.norm(off, axis=1) > limit)
+    core = clear & valued & ~wrong
+    each = float(error.shape[1])
+    sums = {
+        "clear": each * clear.sum(),
+        "missed": each * (clear & ~valued).sum(),
+        "valued": each * both.sum(),
+        "honest": (z[both] <= 3).sum(),
+        "outlying": each * wrong.sum(),
+        "sure": each * (z[wrong] > SURE).any(axis=1).sum(),
+        "core": each * core.sum(),
+        "error": off[core].sum(),
+        "square": (off[core] ** 2).sum(),
+        "bound": np.broadcast_to(bound, core.shape)[core].sum(),
+        "log_z": np.log(np.maximum(z[core], 1e-3)).sum(),
+        "dark": each * dark.sum(),
+        "ghosts": each * (dark & valued).sum(),
+        "seconds": seconds,
+        "score": (spread * normal_score(z))[core].sum(),
+    }
+    return CaseSums(**{name: float(of) for name, of in sums.items()})
+
+
+def normal_score(z: Floats) -> Floats:
+    """Continuous ranked probability scores of a normal law, in its standard deviations.
+
+    Less is better.  On average it is least where the law stated is that of the errors: a sigma that
+    is wrong and one that does not follow the errors both cost, the more the farther off.
+
+    Parameters
+    ----------
+    z : array, errors in stated sigmas
+
+    References
+    ----------
+    Gneiting and Raftery, Strictly proper scoring rules, prediction, and estimation, Journal of the
+    American Statistical Association 102 (2007), section 4.2.
+    """
+    density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
+    scores: Floats = z * erf(z / np.sqrt(2)) + 2 * density - 1 / np.sqrt(np.pi)
+    return scores
+
+
+def reference_seconds() -> float:
+    """Processor seconds of what times are held against: a picture sorted column by column."""
+    picture = np.random.default_rng(1).random(REFERENCE_SHAPE)
+    np.sort(picture, axis=0)  # the first touches memory that is new
+    began = time.process_time()
+    np.sort(picture, axis=0)
+    return time.process_time() - began
+
+
+def _outcome(
+    name: str, call: Callable[..., Any], *given: Any, fatal: tuple[type[Exception], ...] = ()
+) -> tuple[Any, float]:
+    """What a callable returns, None where it refuses or is given a None, and its seconds.
+
+    An error of ``fatal`` is none of the picture's.
+    """
+    if any(one is None for one in given):
+        return None, 0.0
+    began = time.process_time()
+    try:
+        found = call(*given)
+    except fatal:
+        raise
+    except LscanError:
+        found = None
+    except Exception as error:  # a stranger's may raise anything
+        raise InputError(f"{name} failed: {raised(error)}", where="bench") from error
+    return found, time.process_time() - began
+
+
+# Extractors judged by a suite's pictures of a line.
+
+
+def extractor_judge(name: str) -> Judge:
+    """Of an extractor, ``package.module:function`` too; InputError where there is none.
+
+    Parameters
+    ----------
+    name : str
+    """
+    find_extractor(name)
+    return lambda case: {name: judge_case(name, case)}
 
 
 def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]:
@@ -182,44 +292,21 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
         raise InputError(f"{refusal}, in {case.name}") from refusal
     seconds = time.process_time() - began
     truth = case.truth
-    line = (truth.status == Status.OK) & (truth.multiple == 0)
-    valued = has_value(stripe.status)
-    clear = line & (truth.height_dn > settings.threshold_dn + CLEAR_OF_NOISE * truth.noise_dn)
-    both = line & valued
-    error = np.where(both, stripe.centre_px - truth.centre_px, 0.0)
-    sigma = np.maximum(stripe.sigma_px, 1e-9, where=both, out=np.ones(len(both)))
-    z = np.abs(error) / sigma
-    outlying = both & (np.abs(error) > OUTLYING * truth.sigma_px)
-    core = clear & valued & ~outlying
-    dark = ~beside_line(truth.status == Status.OK)
-    sums = (
-        clear.sum(), (clear & ~valued).sum(),
-        both.sum(), (both & (z <= 3)).sum(), outlying.sum(), (outlying & (z > SURE)).sum(),
-        core.sum(), error[core].sum(), (error[core] ** 2).sum(), _bound(case, core).sum(),
-        np.log(np.maximum(z[core], 1e-3)).sum(), dark.sum(), (dark & valued).sum(), seconds,
-        (sigma * normal_score(z))[core].sum(),
-    )  # fmt: skip
-    return CaseSums(*map(float, sums)), _worst(case, stripe.centre_px, stripe.sigma_px, both)
-
-
-def normal_score(z: Floats) -> Floats:
-    """Continuous ranked probability scores of a normal law, in its standard deviations.
-
-    Less is better.  On average it is least where the law stated is that of the errors: a sigma that
-    is wrong and one that does not follow the errors both cost, the more the farther off.
-
-    Parameters
-    ----------
-    z : array, errors in stated sigmas
-
-    References
-    ----------
-    Gneiting and Raftery, Strictly proper scoring rules, prediction, and estimation, Journal of the
-    American Statistical Association 102 (2007), section 4.2.
-    """
-    density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    scores: Floats = z * erf(z / np.sqrt(2)) + 2 * density - 1 / np.sqrt(np.pi)
-    return scores
+    seen = truth.status == Status.OK
+    clear = truth.height_dn > settings.threshold_dn + CLEAR_OF_NOISE * truth.noise_dn
+    both = seen & (truth.multiple == 0) & has_value(stripe.status)
+    sums = coordinate_sums(
+        seen & (truth.multiple == 0),
+        has_value(stripe.status),
+        (stripe.centre_px - truth.centre_px)[:, np.newaxis],
+        stripe.sigma_px[:, np.newaxis],
+        OUTLYING * truth.sigma_px,
+        seconds,
+        needed=clear,
+        dark=~beside_line(seen),
+        bound=_bound(truth),
+    )
+    return sums, _worst(case, stripe.centre_px, stripe.sigma_px, both)
 
 
 def beside_line(line: Mask) -> Mask:
@@ -232,15 +319,13 @@ def beside_line(line: Mask) -> Mask:
     return np.convolve(line, np.ones(2 * NEAR_PX + 1), mode="same") > 0
 
 
-def _bound(case: SuiteCase, columns: Mask) -> Floats:
+def _bound(truth: CaseTruth) -> Floats:
     """Cramér-Rao's bound of the centre for pixel noise alone, px²: docs/explanation/physics.md, 4.
 
     The line's own shot noise and speckle are left out, and so is that pixels are not narrow.
     """
-    truth = case.truth
-    height = np.maximum(truth.height_dn[columns], 1e-6)
-    ratio: Floats = truth.noise_dn[columns] / height
-    return ratio**2 * 2 * truth.sigma_px[columns] / np.sqrt(np.pi)
+    ratio: Floats = truth.noise_dn / np.maximum(truth.height_dn, 1e-6)
+    return ratio**2 * 2 * truth.sigma_px / np.sqrt(np.pi)
 
 
 def _worst(case: SuiteCase, found: Floats, sigma: Floats, columns: Mask) -> list[WorstColumn]:
@@ -273,15 +358,6 @@ def _range(first: float, last: float, beside: int, size: int) -> Ints:
     return np.clip(ends, 0, size).astype(np.int64)
 
 
-def reference_seconds() -> float:
-    """Processor seconds of what times are held against: a picture sorted column by column."""
-    picture = np.random.default_rng(1).random(REFERENCE_SHAPE)
-    np.sort(picture, axis=0)  # the first touches memory that is new
-    began = time.process_time()
-    np.sort(picture, axis=0)
-    return time.process_time() - began
-
-
 # Readers of control points and plane maps judged on a suite's pictures of the calibration board.
 #
 # Each coordinate of a mark, or of a place on the sheet, counts as a column of a line does: the sums
@@ -295,62 +371,37 @@ BoardReader = Callable[[Bytes, Board], BoardReading]
 MapSolver = Callable[[BoardReading, OpticsSection], PlaneMap]
 
 
-def judge_boards(
-    readers: Sequence[str],
-    maps: Sequence[str],
-    cases: Iterable[BoardCase],
-    step: Callable[[], None] = lambda: None,
-) -> tuple[list[JudgedExtractor], float]:
-    """Each reader, in px, and each plane map, in mm, on each picture of the board.
-
-    A map is solved from the control points that lscan's own reader finds.
+def reader_judge(name: str) -> Judge:
+    """Of a reader of control points, in px; InputError where there is none.
 
     Parameters
     ----------
-    readers : sequence of str, names of the group lscan.boardreaders, or ``package.module:function``
-    maps : sequence of str, plane maps, such as polynomial-5, or ``package.module:function`` of a
-        reading and the optics
-    cases : iterable
-    step : callable, called after each case
-
-    Returns
-    -------
-    One record for each reader and map, and the median seconds of the reference workload.
-
-    Raises
-    ------
-    InputError
-        There is no such reader or map, or one fails other than by an error of lscan's.
+    name : str, of the group lscan.boardreaders, or ``package.module:function``
     """
-    reading = {name: cast(BoardReader, find_plugin_or_function(READERS, name)) for name in readers}
-    solving = {name: _map_solver(name) for name in maps}
-    sums: dict[str, dict[str, CaseSums]] = {name: {} for name in (*readers, *maps)}
-    reference = []
-    for case in cases:
-        reference.append(reference_seconds())
-        for name, reader in reading.items():
-            sums[name][case.name] = judge_reader(name, reader, case)
-        own, _ = (
-            _reader_result("read_board", read_board, case.picture, case.board)
-            if maps
-            else (None, 0.0)
-        )
-        for name, solver in solving.items():
-            sums[name][case.name] = judge_map(name, solver, own, case)
-        step()
-    judged = [
-        JudgedExtractor(
-            name, of, (), f"--boards {'--reader' if name in reading else '--map'} {name}"
-        )
-        for name, of in sums.items()
-    ]
-    return judged, float(np.median(reference or [np.nan]))
+    reader = cast(BoardReader, find_plugin_or_function(READERS, name))
+    return lambda case: {name: (judge_reader(name, reader, case), ())}
 
 
-def _map_solver(name: str) -> MapSolver:
-    if names_code(name):
-        return cast(MapSolver, find_plugin_or_function("lscan.planemaps", name))
-    return find_solver(name).solve
+def map_judge(name: str) -> Judge:
+    """Of a plane map, in mm, solved from what lscan's own reader finds; InputError for no map.
+
+    Parameters
+    ----------
+    name : str, such as polynomial-5, or ``package.module:function`` of a reading and the optics
+    """
+    solve = (
+        cast(MapSolver, find_plugin_or_function("lscan.planemaps", name))
+        if names_code(name)
+        else find_solver(name).solve
+    )
+    return lambda case: {name: (judge_map(name, solve, _own_reading(case), case), ())}
+
+
+@lru_cache(1)  # all maps are solved from one reading of a picture
+def _own_reading(case: BoardCase) -> BoardReading | None:
+    found: BoardReading | None
+    found, _ = _outcome("read_board", read_board, case.picture, case.board)
+    return found
 
 
 def judge_reader(name: str, reader: BoardReader, case: BoardCase) -> CaseSums:
@@ -363,10 +414,15 @@ def judge_reader(name: str, reader: BoardReader, case: BoardCase) -> CaseSums:
     case : BoardCase
     """
     true = case.marks
-    found, seconds = _reader_result(name, reader, case.picture, case.board)
+    found, seconds = _outcome(name, reader, case.picture, case.board)
     places, sigma = np.full_like(true.image_px, np.nan), np.full(len(true.status), np.nan)
     if found is not None:
-        places, sigma = _all_marks(name, found, true)
+        marks = joined_marks(found)  # in the case's order
+        if len(marks.status) != len(true.status):
+            raise InputError(f"{name} gave another number of marks", where="bench",
+                             value=len(marks.status), allowed=len(true.status))  # fmt: skip
+        places = np.where(marks.found[:, np.newaxis], marks.image_px, np.nan)
+        sigma = marks.sigma_px
     shown = true.status == Status.OK
     valued = np.isfinite(places[:, 0] + places[:, 1])
     error = np.where(shown[:, np.newaxis], places - true.image_px, np.nan)
@@ -385,9 +441,7 @@ def judge_map(
     reading : BoardReading or None where none could be had
     case : BoardCase
     """
-    solved, seconds = None, 0.0
-    if reading is not None:
-        solved, seconds = _reader_result(name, solve, reading, case.optics)
+    solved, seconds = _outcome(name, solve, reading, case.optics)
     return map_sums(solved, case, seconds)
 
 
@@ -409,65 +463,6 @@ def map_sums(solved: PlaneMap | None, case: BoardCase, seconds: float) -> CaseSu
     valued = np.isfinite(places[:, 0] + places[:, 1])
     limit = WRONG_PITCHES * case.board.grid.pitch_mm
     return coordinate_sums(whole, valued, places - case.map_mm, sigma, limit, seconds)
-
-
-def _reader_result(name: str, tried: Callable[..., Any], *given: Any) -> tuple[Any, float]:
-    """What a callable returns, None where it refuses, and its seconds."""
-    began = time.process_time()
-    try:
-        found = tried(*given)
-    except LscanError:
-        found = None
-    except Exception as error:  # a stranger's may raise anything
-        raise InputError(f"{name} failed: {raised(error)}", where="bench") from error
-    return found, time.process_time() - began
-
-
-def _all_marks(name: str, found: BoardReading, true: Marks) -> tuple[Floats, Floats]:
-    """(N, 2) px and (N,) their sigmas, of control points and rulers' marks in the case's order."""
-    marks = joined_marks(found)
-    if len(marks.status) != len(true.status):
-        raise InputError(f"{name} gave another number of marks", where="bench",
-                         value=len(marks.status), allowed=len(true.status))  # fmt: skip
-    return np.where(marks.found[:, np.newaxis], marks.image_px, np.nan), marks.sigma_px
-
-
-def coordinate_sums(
-    shown: Mask, valued: Mask, error: Floats, sigma: Floats, limit: float, seconds: float
-) -> CaseSums:
-    """The sums over coordinates; a value of what is not shown is a ghost.
-
-    Parameters
-    ----------
-    shown, valued : (N,) array, whether a mark or point is to be seen, and whether it has a value
-    error, sigma : (N, C) array, px or mm, of its C coordinates
-    limit : float, of the error's length, beyond which a value is wrong
-    seconds : float, that it took
-    """
-    both = shown & valued
-    off = np.where(both[:, np.newaxis], error, 0.0)
-    spread = np.where(both[:, np.newaxis] & (sigma > 0), sigma, 1e-9)
-    z = np.abs(off) / spread
-    wrong = both & (np.linalg.norm(off, axis=1) > limit)
-    core = both & ~wrong
-    each = float(error.shape[1])
-    counts: Mapping[str, float] = {
-        "clear": each * shown.sum(),
-        "missed": each * (shown & ~valued).sum(),
-        "valued": each * both.sum(),
-        "honest": float((z[both] <= 3).sum()),
-        "outlying": each * wrong.sum(),
-        "sure": each * (z[wrong] > SURE).any(axis=1).sum(),
-        "core": each * core.sum(),
-        "error": float(off[core].sum()),
-        "square": float((off[core] ** 2).sum()),
-        "log_z": float(np.log(np.maximum(z[core], 1e-3)).sum()),
-        "dark": each * (~shown).sum(),
-        "ghosts": each * (~shown & valued).sum(),
-        "seconds": seconds,
-        "score": float((spread * normal_score(z))[core].sum()),
-    }
-    return CaseSums(**counts)
 
 
 # Whole chains judged on a suite's scans: from the board's picture to points, grooves and slices.
@@ -505,44 +500,20 @@ def load_chain(path: str) -> Document:
     return chain
 
 
-def judge_chains(
-    chains: Sequence[str], cases: Iterable[ScanCase], step: Callable[[], None] = lambda: None
-) -> tuple[list[JudgedExtractor], float]:
-    """Each chain on each scan.
+def chain_judge(name: str) -> Judge:
+    """Of a whole chain, in mm, by PARTS, named "CHAIN: PART"; InputError where it is none.
 
     Parameters
     ----------
-    chains : sequence of str, as of ``load_chain``
-    cases : iterable
-    step : callable, called after each case
-
-    Returns
-    -------
-    Of each chain one record for each of PARTS that the suite's scans have, named "CHAIN: PART", and
-    the median seconds of the reference workload.
-
-    Raises
-    ------
-    InputError
-        A chain is none, or names what is not there.
+    name : str, as of ``load_chain``
     """
-    loaded = {name: load_chain(name) for name in chains}
-    sums: dict[tuple[str, str], dict[str, CaseSums]] = {
-        (name, part): {} for name in chains for part in PARTS
-    }
-    reference = []
-    for case in cases:
-        reference.append(reference_seconds())
-        for name, chain in loaded.items():
-            for part, of in judge_chain(name, chain, case).items():
-                sums[name, part][case.name] = of
-        step()
-    judged = [
-        JudgedExtractor(f"{name}: {part}", of, (), f"--chain {name}")
-        for (name, part), of in sums.items()
-        if of
-    ]
-    return judged, float(np.median(reference or [np.nan]))
+    chain = load_chain(name)
+
+    def judge_scan(case: ScanCase) -> CaseRows:
+        sums = judge_chain(name, chain, case)
+        return {f"{name}: {part}": (sums.get(part), ()) for part in PARTS}
+
+    return judge_scan
 
 
 def judge_chain(name: str, chain: Document, case: ScanCase) -> dict[str, CaseSums]:
@@ -560,39 +531,28 @@ def judge_chain(name: str, chain: Document, case: ScanCase) -> dict[str, CaseSum
         A key of the chain is wrong.
     """
     rig = check(Rig, merge(case.rig.model_dump(exclude_unset=True), chain), where=name)
-    plane_map, board_s = _stage_result(_calibrated, case, rig)
-    profiles, line_s = _stage_result(_profiles, case, rig, plane_map)
+    stage = partial(_outcome, name, fatal=(InputError,))  # of what the chain says
+    plane_map, board_s = stage(_chain_map, case, rig)
+    profiles, line_s = stage(_chain_profiles, case, rig, plane_map)
     sums = {
         BOARD: map_sums(plane_map, case.board, board_s),
         POINTS: _point_sums(profiles, rig, case, line_s),
     }
     if isinstance(rig.workpiece, GroovedBlock):
-        sums[GROOVES] = _groove_sums(profiles, rig.workpiece)
+        lengths, seconds = stage(groove_dimensions, profiles, rig.workpiece)
+        sums[GROOVES] = _groove_sums(lengths, rig.workpiece, seconds)
     if isinstance(rig.workpiece, Sandwave):
-        sums[SLICES] = _slice_sums(profiles, rig, case)
+        cut, seconds = stage(_chain_slice, profiles, rig, case)
+        sums[SLICES] = _slice_sums(cut, rig.workpiece, case, seconds)
     return sums
 
 
-def _stage_result(stage: Callable[..., Any], *given: Any) -> tuple[Any, float]:
-    """What a stage returns, None where it refuses or has nothing to work on, and its seconds."""
-    if any(one is None for one in given):
-        return None, 0.0
-    began = time.process_time()
-    try:
-        found = stage(*given)
-    except InputError:
-        raise  # of what the chain says, not of the pictures
-    except LscanError:
-        found = None
-    return found, time.process_time() - began
-
-
-def _calibrated(case: ScanCase, rig: Rig) -> PlaneMap:
+def _chain_map(case: ScanCase, rig: Rig) -> PlaneMap:
     reading = read_board(case.board.picture, case.board.board, channel=rig.calibration.channel)
     return map_for_rig(calibrate(reading, rig.calibration.plane_map, rig.optics).plane_map, rig)
 
 
-def _profiles(case: ScanCase, rig: Rig, plane_map: PlaneMap) -> list[Profile]:
+def _chain_profiles(case: ScanCase, rig: Rig, plane_map: PlaneMap) -> list[Profile]:
     stripes = extract_stripes([(frame, None) for frame in case.frames], rig.stripe)
     return to_profiles(stripes, plane_map, list(rig.plan.positions_mm()))
 
@@ -600,14 +560,15 @@ def _profiles(case: ScanCase, rig: Rig, plane_map: PlaneMap) -> list[Profile]:
 def _point_sums(
     profiles: list[Profile] | None, rig: Rig, case: ScanCase, seconds: float
 ) -> CaseSums:
-    """(x, z) of every column with a clear line, corrected for what the chain corrects for."""
-    line = case.status == Status.OK
-    clear = (
-        line
-        & (case.multiple == 0)
-        & (case.height_dn > CLEAR_OF_THRESHOLD * rig.stripe.threshold_dn)
-    )
-    clear &= _on_board(case)
+    """(x, z) of every column with a clear line, corrected for what the chain corrects for.
+
+    Beyond the board, no map is known to hold.
+    """
+    line, on_board = case.status == Status.OK, case.board.map_mm
+    with np.errstate(invalid="ignore"):
+        inside = (case.line_mm >= on_board.min(axis=0)) & (case.line_mm <= on_board.max(axis=0))
+    least_dn = CLEAR_OF_THRESHOLD * rig.stripe.threshold_dn
+    clear = line & (case.multiple == 0) & (case.height_dn > least_dn) & inside.all(axis=-1)
     dark: Mask = ~np.stack([beside_line(of) for of in line])
     places = np.full_like(case.line_mm, np.nan)
     sigma = np.full_like(case.line_mm, np.nan)
@@ -615,23 +576,17 @@ def _point_sums(
         surface = correct(build_surface(profiles, rig), rig)
         places = surface.xyz_mm[..., ::2]
         sigma = np.stack([surface.sigma_x_mm, surface.sigma_z_mm], axis=-1)
-    valued = np.isfinite(places[..., 0] + places[..., 1])
-    kept = clear | dark
-    error = places - case.line_mm
-    return coordinate_sums(clear[kept], valued[kept], error[kept], sigma[kept], WRONG_MM, seconds)
+    error = (places - case.line_mm).reshape(-1, 2)
+    valued = np.isfinite(places).all(axis=-1).ravel()
+    return coordinate_sums(
+        clear.ravel(), valued, error, sigma.reshape(-1, 2), WRONG_MM, seconds, dark=dark.ravel()
+    )
 
 
-def _on_board(case: ScanCase) -> Mask:
-    """(F, N) the points within the board, beyond which no map is known to hold."""
-    low, high = case.board.map_mm.min(axis=0), case.board.map_mm.max(axis=0)
-    with np.errstate(invalid="ignore"):
-        inside: Mask = ((case.line_mm >= low) & (case.line_mm <= high)).all(axis=-1)
-    return inside
-
-
-def _groove_sums(profiles: list[Profile] | None, piece: GroovedBlock) -> CaseSums:
+def _groove_sums(
+    lengths: Mapping[str, Length] | None, piece: GroovedBlock, seconds: float
+) -> CaseSums:
     """The block's dimensions."""
-    lengths, seconds = _stage_result(groove_dimensions, profiles, piece)
     count = len(piece.dimensions_mm())
     error, sigma = np.full((count, 1), np.nan), np.full((count, 1), np.nan)
     if lengths is not None:
@@ -641,22 +596,37 @@ def _groove_sums(profiles: list[Profile] | None, piece: GroovedBlock) -> CaseSum
     return coordinate_sums(np.ones(count, bool), valued, error, sigma, WRONG_MM, seconds)
 
 
-def _slice_sums(profiles: list[Profile] | None, rig: Rig, case: ScanCase) -> CaseSums:
+def _slice_sums(cut: Slice | None, piece: Sandwave, case: ScanCase, seconds: float) -> CaseSums:
     """Heights along the slices, where the sandwave is lit and seen, its border left out."""
-    piece, (x, y, z) = rig.workpiece, case.slices_mm.T
-    assert isinstance(piece, Sandwave)
+    x, y, z = case.slices_mm.T
     seen = case.slice_status == Status.OK
+    dark = ~seen
     error, sigma = np.full((len(z), 1), np.nan), np.full((len(z), 1), np.nan)
-    cut, seconds = _stage_result(_slices, profiles, rig, case)
     if cut is not None:
         seen &= piece.inset_mm(x, y) >= cut.radius_mm  # beyond it, heights of the rim are in them
         error[:, 0], sigma[:, 0] = cut.z_mm - z, cut.sigma_z_mm
-    kept = seen | (case.slice_status != Status.OK)
     valued = np.isfinite(error[:, 0])
-    return coordinate_sums(seen[kept], valued[kept], error[kept], sigma[kept], WRONG_MM, seconds)
+    return coordinate_sums(seen, valued, error, sigma, WRONG_MM, seconds, dark=dark)
 
 
-def _slices(profiles: list[Profile], rig: Rig, case: ScanCase) -> Slice:
+def _chain_slice(profiles: list[Profile], rig: Rig, case: ScanCase) -> Slice:
     built = finish(build_surface(profiles, rig), rig)
     built.require_alignment()
     return sample(built.surface, case.slices_mm[:, :2])
+
+
+class _Role(NamedTuple):
+    """cases: of a suite's manifest, that judge it.  option: of ``lscan bench``."""
+
+    cases: str
+    judge: Callable[[str], Judge]
+    option: str = ""
+
+
+ROLES: Mapping[str, _Role] = {
+    "extractor": _Role("cases", extractor_judge),
+    "reader": _Role("boards", reader_judge, "--boards --reader "),
+    "map": _Role("boards", map_judge, "--boards --map "),
+    "chain": _Role("scans", chain_judge, "--chain "),
+}
+"""What a method may be."""

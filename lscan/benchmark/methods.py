@@ -35,7 +35,7 @@ from lscan.stripe.picture import stated_noise
 Result = TypeVar("Result")
 
 
-def timed(call: Callable[[], Result]) -> tuple[float, Result]:
+def time_call(call: Callable[[], Result]) -> tuple[float, Result]:
     """Seconds of a call, and what it returns.
 
     Parameters
@@ -44,7 +44,7 @@ def timed(call: Callable[[], Result]) -> tuple[float, Result]:
 
     Examples
     --------
-    >>> seconds, total = timed(lambda: sum(range(10)))
+    >>> seconds, total = time_call(lambda: sum(range(10)))
     >>> total, seconds < 1
     (45, True)
     """
@@ -68,7 +68,7 @@ def median_seconds(call: Callable[[], object], repeats: int) -> float:
     float
     """
     call()
-    return float(np.median([timed(call)[0] for _ in range(repeats)]))
+    return float(np.median([time_call(call)[0] for _ in range(repeats)]))
 
 
 # Every stripe extractor on every kind of line: bias, scatter, bound, share found, speed.
@@ -119,13 +119,9 @@ def cases(quick: bool = False) -> Iterator[LineCase]:
 
 
 def bench_extractors(
-    names: Sequence[str],
-    seed: int = 1,
-    pictures: int = 6,
-    quick: bool = False,
-    progress: Callable[[int], None] | None = None,
-) -> list[ExtractorRow]:
-    """A row for each extractor and case, all extractors on the same pictures.
+    names: Sequence[str], seed: int = 1, pictures: int = 6, quick: bool = False
+) -> Iterator[ExtractorRow]:
+    """A row for each case and extractor, all extractors on the same pictures.
 
     Parameters
     ----------
@@ -137,12 +133,10 @@ def bench_extractors(
         Of each case.
     quick : bool
         Two waters and one width of the line alone.
-    progress : callable, optional
-        Called with how many of the cases are done.
 
-    Returns
-    -------
-    list of ExtractorRow
+    Yields
+    ------
+    ExtractorRow
 
     Raises
     ------
@@ -150,7 +144,6 @@ def bench_extractors(
         For an unknown extractor or one that fails.
     """
     times = {name: _time_us(name, seed) for name in names}
-    rows = []
     for number, case in enumerate(cases(quick)):
         generator = np.random.default_rng([seed, number])
         phases = generator.random(pictures)
@@ -158,10 +151,7 @@ def bench_extractors(
         for name in names:
             settings = _settings(name, case)
             read = [(true, extract_stripe(image, settings)) for true, image in shown]
-            rows.append(_extractor_row(name, case, read, times[name]))
-        if progress is not None:
-            progress(number + 1)
-    return rows
+            yield _extractor_row(name, case, read, times[name])
 
 
 def _settings(name: str, case: LineCase) -> StripeSection:
@@ -275,13 +265,9 @@ def board_cases(quick: bool = False) -> Iterator[tuple[str, float]]:
 
 
 def bench_maps(
-    names: Sequence[str],
-    seed: int = 1,
-    draws: int = 5,
-    quick: bool = False,
-    progress: Callable[[int], None] | None = None,
-) -> list[MapRow]:
-    """A row for each map, board and noise, all maps on the same readings.
+    names: Sequence[str], seed: int = 1, draws: int = 5, quick: bool = False
+) -> Iterator[MapRow]:
+    """A row for each board, noise and map, all maps on the same readings.
 
     Parameters
     ----------
@@ -293,12 +279,10 @@ def bench_maps(
         Readings of each board at each noise.
     quick : bool
         The paper's board alone.
-    progress : callable, optional
-        Called with how many boards at a noise are done.
 
-    Returns
-    -------
-    list of MapRow
+    Yields
+    ------
+    MapRow
 
     Raises
     ------
@@ -306,19 +290,14 @@ def bench_maps(
         For a map that does not exist.
     """
     solvers = {name: find_solver(name) for name in names}
-    rows = []
-    for done, (label, noise) in enumerate(board_cases(quick), start=1):
+    for label, noise in board_cases(quick):
         board, number = BOARDS[label], list(BOARDS).index(label)
         places = _places(board, np.random.default_rng([seed, number]))
         generator = np.random.default_rng([seed, number, round(1e4 * noise)])
         count = 1 if noise == 0 else draws
         readings = [reading_of(board, noise, generator) for _ in range(count)]
-        rows += [
-            _map_row(name, solvers[name].solve, label, noise, readings, places) for name in names
-        ]
-        if progress is not None:
-            progress(done)
-    return rows
+        for name, solver in solvers.items():
+            yield _map_row(name, solver.solve, label, noise, readings, places)
 
 
 def _map_row(
@@ -334,7 +313,7 @@ def _map_row(
     errors, ratios, covered, solving, mapping = [], [], [], [], []
     for reading in readings:
         try:
-            seconds, solved = timed(partial(solve, reading, OPTICS))
+            seconds, solved = time_call(partial(solve, reading, OPTICS))
         except (InputError, BoardNotFound) as refusal:
             return MapRow(name, board, noise_px, nan, nan, nan, 0.0, nan, nan, str(refusal))
         solving.append(seconds)
@@ -345,7 +324,7 @@ def _map_row(
         ratios.append(np.abs(error_mm) / answer.sigma_mm[known])
         covered.append(float(known.mean()))
         profile = partial(solved.to_plane, pixels[:POINTS], np.full(POINTS, 0.05))
-        mapping.append(timed(profile)[0])
+        mapping.append(time_call(profile)[0])
     error, ratio = np.concatenate(errors), np.concatenate(ratios)
     if len(error) == 0:
         error = ratio = np.array([nan])
@@ -415,18 +394,18 @@ def failed_of_extractor(row: ExtractorRow) -> list[str]:
     to withhold it, or to give a value of lesser quality, is an extractor's right (Status).
     """
     nothing = row.found == 0
-    spread = {
+    kept = {
         "scatter": nothing or row.scatter_px <= MOST_SCATTER * row.case.sigma_px,
         "outliers": nothing or row.outliers <= MOST_OUTLIERS,
     }
-    if row.case.saturated:
-        return _failed(spread)
-    of_line = {
-        "found": row.found >= LEAST_FOUND,
-        "bias": nothing or abs(row.bias_px) <= MOST_BIAS_PX,
-        "sigma": nothing or row.within_3_sigma >= LEAST_WITHIN,
-    }
-    return _failed({**of_line, **spread})
+    if not row.case.saturated:
+        kept = {
+            "found": row.found >= LEAST_FOUND,
+            "bias": nothing or abs(row.bias_px) <= MOST_BIAS_PX,
+            "sigma": nothing or row.within_3_sigma >= LEAST_WITHIN,
+            **kept,
+        }
+    return [name for name, within in kept.items() if not within]
 
 
 def failed_of_map(row: MapRow) -> list[str]:
@@ -436,14 +415,9 @@ def failed_of_map(row: MapRow) -> list[str]:
         return ["refused"] if standard else []
     wider = max(1.0, BOARDS[row.board].grid.pitch_mm / PITCH_MM)
     nothing = row.covered == 0
-    return _failed(
-        {
-            "covered": row.covered >= LEAST_COVERED,
-            "rms": nothing or row.rms_mm <= MOST_RMS_MM * wider**2,
-            "sigma": nothing or not standard or row.within_3_sigma >= LEAST_WITHIN_OF_MAP,
-        }
-    )
-
-
-def _failed(kept: dict[str, bool]) -> list[str]:
+    kept = {
+        "covered": row.covered >= LEAST_COVERED,
+        "rms": nothing or row.rms_mm <= MOST_RMS_MM * wider**2,
+        "sigma": nothing or not standard or row.within_3_sigma >= LEAST_WITHIN_OF_MAP,
+    }
     return [name for name, within in kept.items() if not within]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -100,8 +101,8 @@ def write_bench(
 ) -> dict[str, Any]:
     """What bench.json holds, written to ``folder`` with bench.png; InputError from the disk."""
     content = {
-        "extractors": [_judged(row, failed_of_extractor(row)) for row in extractors],
-        "maps": [_judged(row, failed_of_map(row)) for row in maps],
+        "extractors": [_row_content(row, failed_of_extractor(row)) for row in extractors],
+        "maps": [_row_content(row, failed_of_map(row)) for row in maps],
     }
     make_folder(folder)
     write_json(folder / "bench.json", content)
@@ -109,7 +110,7 @@ def write_bench(
     return content
 
 
-def _judged(row: ExtractorRow | MapRow, failed: list[str]) -> dict[str, Any]:
+def _row_content(row: ExtractorRow | MapRow, failed: list[str]) -> dict[str, Any]:
     """The row in JSON types, null for what is no number, and which figures are out of limits."""
     written: dict[str, Any] = to_jsonable_python(row, inf_nan_mode="null")
     return {**written, "failed": failed, "passed": not failed}
@@ -223,7 +224,7 @@ def run_bench(
     seed : int
         Of all random numbers.
     progress : callable, optional
-        Called with (done, all) after each kind of line and each board.
+        Called with (done, all) after each row.
 
     Returns
     -------
@@ -242,19 +243,20 @@ def run_bench(
     for name in maps:
         find_solver(name)
     make_folder(folder)
-    kinds = len(list(cases(quick))) if extractors else 0
-    total = kinds + (len(list(board_cases(quick))) if maps else 0)
-
-    def step(done: int) -> None:
-        if progress is not None:
-            progress(done, total)
-
     pictures, draws = (QUICK_PICTURES, QUICK_DRAWS) if quick else (PICTURES, DRAWS)
-    of_lines = bench_extractors(extractors, seed, pictures, quick, step) if extractors else []
-    of_boards = (
-        bench_maps(maps, seed, draws, quick, lambda done: step(kinds + done)) if maps else []
+    every: Iterable[ExtractorRow | MapRow] = chain(
+        bench_extractors(extractors, seed, pictures, quick) if extractors else (),
+        bench_maps(maps, seed, draws, quick) if maps else (),
     )
-    return Benchmark(of_lines, of_boards, write_bench(folder, of_lines, of_boards))
+    total = len(extractors) * len([*cases(quick)]) + len(maps) * len([*board_cases(quick)])
+    rows: list[ExtractorRow | MapRow] = []
+    for row in every:
+        rows.append(row)
+        if progress is not None:
+            progress(len(rows), total)
+    lines = [row for row in rows if isinstance(row, ExtractorRow)]
+    boards = [row for row in rows if isinstance(row, MapRow)]
+    return Benchmark(lines, boards, write_bench(folder, lines, boards))
 
 
 # A page that ranks what saved runs of suites say: one table for each suite.

@@ -1,12 +1,18 @@
-"""A suite's cases judged in several processes, a few at a time."""
+"""``lscan bench --suite``: methods judged by a suite's cases, and what differs between two runs.
+
+A few cases at a time are judged by several processes; runs are kept in files.
+"""
 
 import math
 import os
 import signal
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, astuple, dataclass
 from functools import lru_cache, partial
+from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -18,12 +24,12 @@ from scipy.stats import wilcoxon
 from lscan.acquisition.scan import require_guarded_main
 from lscan.benchmark.drawn import SHAPE, centres, draw, draw_worst
 from lscan.benchmark.judging import (
+    ROLES,
     SUMS,
+    CaseResult,
     CaseSums,
-    JudgedExtractor,
+    WorstColumn,
     judge,
-    judge_boards,
-    judge_chains,
     worst_of,
 )
 from lscan.benchmark.methods import THRESHOLD_DN, cases
@@ -32,56 +38,292 @@ from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, read_json, write_atomically, write_json
 from lscan.records import Floats, Progress, Status
-from lscan.stripe import find_extractor
-from lscan.suites import CaseTruth, SuiteCase, SuiteContent, find_suite, open_suite
+from lscan.suites import CaseTruth, SuiteCase, find_suite, open_suite
 
+DRAWN = "drawn"
+"""The suite of drawn lines, which needs no file."""
 AT_ONCE = 20  # cases
-Part = tuple[list[JudgedExtractor], float]  # as ``judge`` returns it
+LEAST_SHARED = 100  # cases: fewer are judged before other processes have begun
+USUAL_AXES = ("water", "target", "fault")
+_IN_WORDS: Mapping[str, tuple[str, str]] = {
+    "cases": ("pictures of a line", "an extractor"),
+    "boards": ("pictures of the board", "a reader or a map"),
+    "scans": ("scans", "a chain"),
+}
+"""A suite's kinds of cases: what they are, and what is judged by them."""
 
 _opened = lru_cache(1)(open_suite)
 
 
+@dataclass(frozen=True)
+class SuiteRun:
+    """A suite's cases, and what became of each method: extractor, reader, map or part of a chain.
+
+    Attributes
+    ----------
+    identity : str, of the suite, by which runs are comparable
+    axes : mapping, by case, its values
+    sums : mapping, by method and case
+    worst : mapping, by method, the columns that it errs in most; of extractors alone
+    reference_s : float, seconds of the reference workload
+    asked : str, what ``lscan bench`` is given to judge the same methods
+    """
+
+    identity: str
+    axes: Mapping[str, Mapping[str, str]]
+    sums: Mapping[str, Mapping[str, CaseSums]]
+    worst: Mapping[str, Sequence[WorstColumn]]
+    reference_s: float
+    asked: str
+
+
+def run_suite(
+    suite: str,
+    methods: Mapping[str, Sequence[str]],
+    seed: int = 1,
+    progress: Progress | None = None,
+) -> SuiteRun:
+    """Judge methods by the cases of a suite.
+
+    Parameters
+    ----------
+    suite : str, DRAWN, the name of a suite that is found, or its path
+    methods : mapping, names by what they are of: "extractor", judged in px by pictures of a line;
+        "reader" of control points and plane "map", in px and mm by pictures of the board; or
+        "chain", rig files or names of scenes, in mm by scans
+    seed : int, of drawn lines
+    progress : callable or None, called with (done, all) cases
+
+    Raises
+    ------
+    InputError
+        There is no such suite or method, the suite has no such cases, or a method fails.
+    """
+    (kind,) = {ROLES[role].cases for role in methods}
+    shown, allowed = _IN_WORDS[kind]
+    named = [(role, name) for role, names in methods.items() for name in names]
+    if not named:
+        raise InputError("nothing to judge", where="bench", allowed=allowed)
+    for role, name in named:
+        ROLES[role].judge(name)  # unknown ones are refused before any work
+    source = CaseSource.of(suite, kind, seed)
+    if not source.axes:
+        raise InputError(f"has no {shown}", where="--suite", value=suite)
+    cases = sorted(source.axes)
+    opened: AbstractContextManager[Iterator[CaseResult]]
+    if source.path is not None and len(cases) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
+        opened = judge_shared(source.path, named, cases)
+    else:
+        opened = nullcontext(judge(named, map(source.case, cases)))
+    sums: defaultdict[str, dict[str, CaseSums]] = defaultdict(dict)
+    worst: dict[str, Sequence[WorstColumn]] = {}
+    reference_s = []
+    with opened as results:
+        for done, (case, rows, seconds) in enumerate(results, start=1):
+            reference_s.append(seconds)
+            for name, (of, columns) in rows.items():
+                sums[name] |= {} if of is None else {case: of}
+                worst[name] = worst_of((*worst.get(name, ()), *columns))
+            if progress is not None:
+                progress(done, len(cases))
+    found = {name: of for name, of in sums.items() if of}  # not all scans have grooves
+    asked = " ".join(f"{ROLES[role].option}{name}" for role, name in named)
+    reference = float(np.nanmedian(reference_s))
+    return SuiteRun(source.identity, source.axes, found, worst, reference, asked)
+
+
+@contextmanager
 def judge_shared(
-    path: Path, names: Sequence[str], cases: Sequence[str], progress: Progress | None = None
-) -> Part:
+    path: Path, named: Sequence[tuple[str, str]], cases: Sequence[str]
+) -> Iterator[Iterator[CaseResult]]:
     """As ``judge``, by a process for each core.
 
     Parameters
     ----------
     path : Path, of the suite
-    names : sequence of str, of extractors, whose modules other processes can import
+    named : sequence of roles and names, of methods whose modules other processes can import
     cases : sequence of str, their names
-    progress : callable or None, called with (done, all) cases
     """
     require_guarded_main()
     groups = [cases[first : first + AT_ONCE] for first in range(0, len(cases), AT_ONCE)]
-    parts: list[Part] = []
-    # None is forked: threads of OpenCV and BLAS may hold locks.
-    spawned = get_context("spawn")
-    with ProcessPoolExecutor(os.cpu_count(), spawned, _leave_ctrl_c) as pool:
-        for part in pool.map(partial(_judge_part, path, names), groups):
-            parts.append(part)
-            if progress is not None:
-                progress(min(len(parts) * AT_ONCE, len(cases)), len(cases))
-    judged = [_joined([part[0][n] for part in parts]) for n in range(len(names))]
-    return judged, float(np.median([reference_s for _, reference_s in parts]))
+    # None is forked: threads of OpenCV and BLAS may hold locks.  Ctrl-C, which a terminal sends to
+    # all of them, is left to the one that ends the others.
+    spawned, no_ctrl_c = get_context("spawn"), (signal.SIGINT, signal.SIG_IGN)
+    with ProcessPoolExecutor(os.cpu_count(), spawned, signal.signal, no_ctrl_c) as pool:
+        yield chain.from_iterable(pool.map(partial(_judge_group, path, named), groups))
 
 
-def _judge_part(path: Path, names: Sequence[str], cases: Sequence[str]) -> Part:
-    suite = _opened(path)
-    return judge(names, (suite.case(case) for case in cases))
+def _judge_group(
+    path: Path, named: Sequence[tuple[str, str]], cases: Sequence[str]
+) -> list[CaseResult]:
+    return list(judge(named, map(_opened(path).case, cases)))
 
 
-def _joined(parts: Sequence[JudgedExtractor]) -> JudgedExtractor:
-    """What one extractor made of several groups of cases."""
-    sums = {case: one for part in parts for case, one in part.sums.items()}
-    worst = worst_of(column for part in parts for column in part.worst)
-    return JudgedExtractor(parts[0].extractor, sums, worst)
+@dataclass(frozen=True)
+class CaseSource:
+    """The cases of one kind of a suite.
+
+    identity: of the suite, by which runs are comparable.  axes: by case, its values.  case: reads
+    one by its name.  path: of the suite, None of drawn lines.
+    """
+
+    identity: str
+    axes: Mapping[str, Mapping[str, str]]
+    case: Callable[[str], Any]
+    path: Path | None = None
+
+    @classmethod
+    def of(cls, suite: str, kind: str, seed: int = 1) -> "CaseSource":
+        """Those of a suite.
+
+        Parameters
+        ----------
+        suite : str, DRAWN, the name of a suite that is found, or its path
+        kind : str, "cases", "boards" or "scans"; of drawn lines there are "cases" alone
+        seed : int, of drawn lines
+        """
+        if suite == DRAWN:
+            drawn = {case.name: case for case in drawn_cases(seed) if kind == "cases"}
+            axes = {name: case.axes for name, case in drawn.items()}
+            return cls(f"{DRAWN} seed {seed}", axes, drawn.__getitem__)
+        opened = open_suite(find_suite(suite))
+        content, of = opened.content, "" if kind == "cases" else f"{kind} of "
+        identity = f"{of}{content.name} seed {content.seed} {content.made_by}"
+        return cls(identity, content.kinds[kind], opened.case, opened.path)
 
 
-def _leave_ctrl_c() -> None:
-    """Leave Ctrl-C, which a terminal sends to all processes, to the one that ends the others."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def drawn_cases(seed: int) -> Iterator[SuiteCase]:
+    """The drawn lines of ``lscan bench`` as cases of a suite.
+
+    Parameters
+    ----------
+    seed : int, of all that is random in them
+    """
+    for number, case in enumerate(cases()):
+        rng = np.random.default_rng([seed, number])
+        true = centres(rng.random())
+        image = draw(case, true, rng)
+        each = np.ones(SHAPE[1])
+        noise = case.noise.read_dn * each
+        zeros = np.zeros(SHAPE[1], dtype=np.int64)
+        truth = CaseTruth(
+            true, case.sigma_px * each, case.peak_dn * each, noise, zeros, zeros + int(Status.OK)
+        )
+        fault = "speckle" if case.noise.speckle else "clipped" if case.saturated else "none"
+        target = f"{case.sigma_px:g} px {case.peak_dn:g} DN"
+        axes = {"water": case.water, "target": target, "fault": fault}
+        settings = StripeSection(threshold_dn=THRESHOLD_DN, noise=case.noise)
+        labels = np.zeros(SHAPE, np.uint8)
+        yield SuiteCase(f"case-{number:04d}", axes, image, None, labels, truth, settings)
+
+
+# The table of a run.
+
+
+@dataclass(frozen=True)
+class SuiteRow:
+    """An extractor on the cases that have a value on each of some axes.
+
+    bias_px, scatter_px: of the errors on clear lines that are not wrong; bound_ratio: their rms to
+    the least that pixel noise allows.
+    found: share of the columns with a clear line; wrong: share of values beyond three widths of the
+    line, sure: share of values that are so and say they are not; ghosts: share of the columns
+    without a line that got a value.  within_3_sigma, z_ratio: share, and geometric mean of |error|
+    over sigma to that of a normal law: 1 where sigma is right, more where it is too small.
+    time: to that of the reference workload.
+    """
+
+    extractor: str
+    group: Mapping[str, str]
+    cases: int
+    bias_px: float
+    scatter_px: float
+    bound_ratio: float
+    found: float
+    wrong: float
+    sure: float
+    ghosts: float
+    within_3_sigma: float
+    z_ratio: float
+    time: float
+
+
+def usual_axes(run: SuiteRun) -> list[str]:
+    """The axes that one looks at first, of those that the run's cases have.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    """
+    return [axis for axis in USUAL_AXES if all(axis in axes for axes in run.axes.values())]
+
+
+def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
+    """The table: a row for each extractor and each combination of values on some axes.
+
+    Parameters
+    ----------
+    run : SuiteRun
+    by : sequence of str, the axes; none: one row for each extractor
+
+    Raises
+    ------
+    InputError
+        The suite has no such axis.
+    """
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for case, axes in run.axes.items():
+        if missing := [axis for axis in by if axis not in axes]:
+            raise InputError(
+                "no such axis", where="--by", value=missing[0], allowed=", ".join(axes)
+            )
+        groups.setdefault(tuple(axes[axis] for axis in by), []).append(case)
+    return [
+        row_of(
+            name,
+            {case: sums[case] for case in judged},
+            dict(zip(by, values, strict=True)),
+            sum(sums[case].seconds for case in judged) / len(judged) / run.reference_s,
+        )
+        for values, members in sorted(groups.items())
+        for name, sums in run.sums.items()
+        if (judged := [case for case in members if case in sums])
+    ]
+
+
+def row_of(
+    name: str, sums: Mapping[str, CaseSums], group: Mapping[str, str], time: float
+) -> SuiteRow:
+    """A method's row of some cases.
+
+    Parameters
+    ----------
+    name : str, of the extractor, reader or map
+    sums : mapping, of each case
+    group : mapping, the values on axes that the cases have in common
+    time : float, of a case, to that of the reference workload
+    """
+    total = sum(sums.values(), CaseSums())
+    bias, square = _share(total.error, total.core), _share(total.square, total.core)
+    return SuiteRow(
+        name,
+        group,
+        len(sums),
+        bias,
+        math.sqrt(max(square - bias**2, 0.0)) if total.core else math.nan,
+        math.sqrt(_share(total.square, total.bound)),
+        1 - _share(total.missed, total.clear),
+        _share(total.outlying, total.valued),
+        _share(total.sure, total.valued),
+        _share(total.ghosts, total.dark),
+        _share(total.honest, total.valued),
+        math.exp(_share(total.log_z, total.core) - LOG_Z),
+        time,
+    )
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else math.nan
 
 
 # What got better or worse between two runs of one suite: a paired test, case by case.
@@ -189,7 +431,7 @@ def differences(
         pairs = np.array([[of(now[case]), of(before[case])] for case in common]).reshape(-1, 2)
         difference = pairs[:, 0] - pairs[:, 1]
         difference = difference[np.abs(difference) > EQUAL]  # NaN, too, is left out
-        p = _probability(difference)
+        p = float(wilcoxon(difference).pvalue) if len(difference) else 1.0
         if p < FALSE_ALARMS / len(FIGURES):
             low, typical, high = pseudo_median(difference)
             worse = typical > 0
@@ -246,13 +488,6 @@ def before_and_after(now: Mapping[str, CaseSums], before: Mapping[str, CaseSums]
     )
 
 
-def _probability(difference: Floats) -> float:
-    """Two-sided, of the signed-rank test; 1 where nothing differs."""
-    if len(difference) == 0:
-        return 1.0
-    return float(wilcoxon(difference).pvalue)
-
-
 def pseudo_median(values: Floats) -> tuple[float, float, float]:
     """The median of the means of all pairs of values, each with itself among them.
 
@@ -275,267 +510,6 @@ def pseudo_median(values: Floats) -> tuple[float, float, float]:
     spread = np.sqrt(n * (n + 1) * (2 * n + 1) / 24)
     left_out = max(int(n * (n + 1) / 4 - ndtri(0.975) * spread), 0)
     return float(means[left_out]), float(np.median(means)), float(means[-1 - left_out])
-
-
-# ``lscan bench --suite``: extractors, what reads and maps boards, and chains, on a suite.
-
-
-DRAWN = "drawn"
-"""The suite of drawn lines, which needs no file."""
-LEAST_SHARED = 100  # cases: fewer are judged before other processes have begun
-USUAL_AXES = ("water", "target", "fault")
-
-
-@dataclass(frozen=True)
-class SuiteRun:
-    """A suite's cases with their axes, and what became of each extractor.
-
-    identity: of the suite, by which runs are comparable.  reference_s: seconds of the reference
-    workload.
-    """
-
-    identity: str
-    axes: Mapping[str, Mapping[str, str]]
-    judged: Sequence[JudgedExtractor]
-    reference_s: float
-
-
-@dataclass(frozen=True)
-class SuiteRow:
-    """An extractor on the cases that have a value on each of some axes.
-
-    bias_px, scatter_px: of the errors on clear lines that are not wrong; bound_ratio: their rms to
-    the least that pixel noise allows.
-    found: share of the columns with a clear line; wrong: share of values beyond three widths of the
-    line, sure: share of values that are so and say they are not; ghosts: share of the columns
-    without a line that got a value.  within_3_sigma, z_ratio: share, and geometric mean of |error|
-    over sigma to that of a normal law: 1 where sigma is right, more where it is too small.
-    time: to that of the reference workload.
-    """
-
-    extractor: str
-    group: Mapping[str, str]
-    cases: int
-    bias_px: float
-    scatter_px: float
-    bound_ratio: float
-    found: float
-    wrong: float
-    sure: float
-    ghosts: float
-    within_3_sigma: float
-    z_ratio: float
-    time: float
-
-
-def run_suite(
-    suite: str, names: Sequence[str], seed: int = 1, progress: Progress | None = None
-) -> SuiteRun:
-    """Judge extractors on a suite.
-
-    Parameters
-    ----------
-    suite : str, DRAWN, the name of a suite that is found, or its path
-    names : sequence of str, of extractors
-    seed : int, of drawn lines
-    progress : callable or None, called with (done, all) cases
-
-    Raises
-    ------
-    InputError
-        There is no such suite or extractor, or one fails.
-    """
-    if not names:
-        raise InputError("nothing to judge", where="bench", allowed="an extractor")
-    for name in names:
-        find_extractor(name)
-    if suite == DRAWN:
-        every = list(drawn_cases(seed))
-        identity, axes = f"{DRAWN} seed {seed}", {case.name: case.axes for case in every}
-        shown: Iterator[SuiteCase] = iter(every)
-    else:
-        opened = open_suite(find_suite(suite))
-        content = opened.content
-        identity = _identity(content)
-        axes, shown = dict(content.cases), opened.cases()
-        if not axes:
-            raise InputError("has no pictures of a line", where="--suite", value=suite)
-        if len(axes) >= LEAST_SHARED and (os.cpu_count() or 1) > 1:
-            judged, reference_s = judge_shared(opened.path, names, sorted(axes), progress)
-            return SuiteRun(identity, axes, judged, reference_s)
-    judged, reference_s = judge(names, shown, _stepping(progress, len(axes)))
-    return SuiteRun(identity, axes, judged, reference_s)
-
-
-def run_boards(
-    suite: str, readers: Sequence[str], maps: Sequence[str], progress: Progress | None = None
-) -> SuiteRun:
-    """Judge readers of control points, in px, and plane maps, in mm, on a suite's boards.
-
-    Parameters
-    ----------
-    suite : str, the name of a suite that is found, or its path
-    readers, maps : sequences of str, their names
-    progress : callable or None, called with (done, all) cases
-
-    Raises
-    ------
-    InputError
-        There is no such suite, reader or map, the suite has no boards, or a reader fails.
-    """
-    if not (readers or maps):
-        raise InputError("nothing to judge", where="bench", allowed="a reader or a map")
-    opened = open_suite(find_suite(suite))
-    axes = dict(opened.content.boards)
-    if not axes:
-        raise InputError("has no pictures of the board", where="--suite", value=suite)
-    step = _stepping(progress, len(axes))
-    judged, reference_s = judge_boards(readers, maps, opened.boards(), step)
-    return SuiteRun(f"boards of {_identity(opened.content)}", axes, judged, reference_s)
-
-
-def run_chains(suite: str, chains: Sequence[str], progress: Progress | None = None) -> SuiteRun:
-    """Judge whole chains, in mm, on a suite's scans.
-
-    Parameters
-    ----------
-    suite : str, the name of a suite that is found, or its path
-    chains : sequence of str, rig files or names of scenes
-    progress : callable or None, called with (done, all) cases
-
-    Raises
-    ------
-    InputError
-        There is no such suite or chain, or the suite has no scans.
-    """
-    if not chains:
-        raise InputError("nothing to judge", where="bench", allowed="a chain")
-    opened = open_suite(find_suite(suite))
-    axes = dict(opened.content.scans)
-    if not axes:
-        raise InputError("has no scans", where="--suite", value=suite)
-    judged, reference_s = judge_chains(chains, opened.scans(), _stepping(progress, len(axes)))
-    return SuiteRun(f"scans of {_identity(opened.content)}", axes, judged, reference_s)
-
-
-def _stepping(progress: Progress | None, count: int) -> Callable[[], None]:
-    """What is called after each case."""
-    done = 0
-
-    def step() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, count)
-
-    return step
-
-
-def _identity(content: SuiteContent) -> str:
-    return f"{content.name} seed {content.seed} {content.made_by}"
-
-
-def drawn_cases(seed: int) -> Iterator[SuiteCase]:
-    """The drawn lines of ``lscan bench`` as cases of a suite.
-
-    Parameters
-    ----------
-    seed : int, of all that is random in them
-    """
-    for number, case in enumerate(cases()):
-        rng = np.random.default_rng([seed, number])
-        true = centres(rng.random())
-        image = draw(case, true, rng)
-        each = np.ones(SHAPE[1])
-        noise = case.noise.read_dn * each
-        zeros = np.zeros(SHAPE[1], dtype=np.int64)
-        truth = CaseTruth(
-            true, case.sigma_px * each, case.peak_dn * each, noise, zeros, zeros + int(Status.OK)
-        )
-        fault = "speckle" if case.noise.speckle else "clipped" if case.saturated else "none"
-        target = f"{case.sigma_px:g} px {case.peak_dn:g} DN"
-        axes = {"water": case.water, "target": target, "fault": fault}
-        settings = StripeSection(threshold_dn=THRESHOLD_DN, noise=case.noise)
-        labels = np.zeros(SHAPE, np.uint8)
-        yield SuiteCase(f"case-{number:04d}", axes, image, None, labels, truth, settings)
-
-
-def usual_axes(run: SuiteRun) -> list[str]:
-    """The axes that one looks at first, of those that the run's cases have.
-
-    Parameters
-    ----------
-    run : SuiteRun
-    """
-    return [axis for axis in USUAL_AXES if all(axis in axes for axes in run.axes.values())]
-
-
-def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
-    """The table: a row for each extractor and each combination of values on some axes.
-
-    Parameters
-    ----------
-    run : SuiteRun
-    by : sequence of str, the axes; none: one row for each extractor
-
-    Raises
-    ------
-    InputError
-        The suite has no such axis.
-    """
-    groups: dict[tuple[str, ...], list[str]] = {}
-    for case, axes in run.axes.items():
-        if missing := [axis for axis in by if axis not in axes]:
-            raise InputError(
-                "no such axis", where="--by", value=missing[0], allowed=", ".join(axes)
-            )
-        groups.setdefault(tuple(axes[axis] for axis in by), []).append(case)
-    return [
-        row_of(
-            one.extractor,
-            {case: one.sums[case] for case in judged},
-            dict(zip(by, values, strict=True)),
-            sum(one.sums[case].seconds for case in judged) / len(judged) / run.reference_s,
-        )
-        for values, members in sorted(groups.items())
-        for one in run.judged
-        if (judged := [case for case in members if case in one.sums])  # not all scans have grooves
-    ]
-
-
-def row_of(
-    name: str, sums: Mapping[str, CaseSums], group: Mapping[str, str], time: float
-) -> SuiteRow:
-    """A method's row of some cases.
-
-    Parameters
-    ----------
-    name : str, of the extractor, reader or map
-    sums : mapping, of each case
-    group : mapping, the values on axes that the cases have in common
-    time : float, of a case, to that of the reference workload
-    """
-    total = sum(sums.values(), CaseSums())
-    bias, square = _share(total.error, total.core), _share(total.square, total.core)
-    return SuiteRow(
-        name,
-        group,
-        len(sums),
-        bias,
-        math.sqrt(max(square - bias**2, 0.0)) if total.core else math.nan,
-        math.sqrt(_share(total.square, total.bound)),
-        1 - _share(total.missed, total.clear),
-        _share(total.outlying, total.valued),
-        _share(total.sure, total.valued),
-        _share(total.ghosts, total.dark),
-        _share(total.honest, total.valued),
-        math.exp(_share(total.log_z, total.core) - LOG_Z),
-        time,
-    )
-
-
-def _share(part: float, whole: float) -> float:
-    return part / whole if whole else math.nan
 
 
 # Runs on suites kept in files: bench.json, and what differs from one.
@@ -578,10 +552,10 @@ def write_suite_run(folder: Path, run: SuiteRun, by: Sequence[str]) -> dict[str,
     make_folder(folder)
     content = saved_run(run, by)
     write_json(folder / "bench.json", content)
-    for one in run.judged:
-        if one.worst:
-            name = one.extractor.replace(":", ".")
-            write_atomically(folder / f"worst-{name}.png", draw_worst(one))
+    for name, worst in run.worst.items():
+        if worst:
+            file = folder / f"worst-{name.replace(':', '.')}.png"
+            write_atomically(file, draw_worst(name, worst))
     return content
 
 
@@ -598,15 +572,15 @@ def saved_run(run: SuiteRun, by: Sequence[str] = ()) -> dict[str, Any]:
         "suite": run.identity,
         "packages": {
             package: version
-            for one in run.judged
+            for name in run.sums
             for group in _GROUPS
-            for package, version in others_versions(group, one.extractor).items()
+            for package, version in others_versions(group, name).items()
         },
         "rows": [asdict(row) for row in suite_rows(run, by)],
         "sums": list(SUMS),
         "extractors": {
-            one.extractor: {case: list(astuple(sums)) for case, sums in one.sums.items()}
-            for one in run.judged
+            name: {case: list(astuple(sums)) for case, sums in of.items()}
+            for name, of in run.sums.items()
         },
     }
 
@@ -683,8 +657,8 @@ def _in_both(
     saved = read_saved(file)
     if saved.suite != run.identity:
         raise InputError("is of another suite", where=file, value=saved.suite, allowed=run.identity)
-    both = [one for one in run.judged if one.extractor in saved.sums]
+    both = [name for name in run.sums if name in saved.sums]
     if not both:
         allowed = ", ".join(saved.sums)
         raise InputError("has none of these extractors", where=file, allowed=allowed)
-    return [(one.extractor, one.sums, saved.sums[one.extractor]) for one in both]
+    return [(name, run.sums[name], saved.sums[name]) for name in both]

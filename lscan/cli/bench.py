@@ -61,14 +61,15 @@ def bench(
         allowed = "without --suite, or with --boards" if plane_map else "without --suite"
         where = "--map" if plane_map else "--quick"
         raise InputError("does not apply to the lines of a suite", where=where, allowed=allowed)
+    if chain:
+        roles, unit = {"chain": _each_once(only, CHAINS, chain)}, "mm"
+    elif boards:
+        readers = _each_once(only, ("read_board",), reader)
+        roles, unit = {"reader": readers, "map": maps}, "px, of maps mm"
+    else:
+        roles, unit = {"extractor": extractors}, "px"
     with progress_bar("bench") as progress:
-        if chain:
-            run, unit = suiterun.run_chains(suite, _each_once(only, CHAINS, chain), progress), "mm"
-        elif boards:
-            readers = _each_once(only, ("read_board",), reader)
-            run, unit = suiterun.run_boards(suite, readers, maps, progress), "px, of maps mm"
-        else:
-            run, unit = suiterun.run_suite(suite, extractors, seed, progress), "px"
+        run = suiterun.run_suite(suite, roles, seed, progress)
     _end_with_run(run, unit, output, by, against, json)
 
 
@@ -121,12 +122,11 @@ def _end_with_run(
     content = suiterun.write_suite_run(output, run, by or usual)
     tables = [by] if by else [[], *([axis] for axis in usual)]
     lines: list[str | Table] = [_rows_table(run, axes, unit) for axes in tables]
-    extractors = {one.extractor: one.sums for one in run.judged}
-    compared = suiterun.between(extractors) if against is None else changed
+    compared = suiterun.between(run.sums) if against is None else changed
     lines += [one.in_words for one in compared]
     if against is not None and changed:
         lines += suiterun.changes_in_words(run, against)
-    if not compared and (against is not None or len(extractors) > 1):
+    if not compared and (against is not None or len(run.sums) > 1):
         lines.append("nothing differs")
     show({**content, "differences": changed}, *lines, str(output / "bench.json"), json=json)
     worse = sum(one.worse for one in changed)

@@ -1,4 +1,8 @@
-"""What a suite holds: its manifest, and a case's picture and truth as bytes of its members."""
+"""What a suite holds: its manifest, and its cases as bytes of their members.
+
+A case is a picture of a laser line, a picture of the calibration board, or a whole scan with its
+board.  Each says which members it must have, what bytes they are, and how it is read from them.
+"""
 
 import csv
 import hashlib
@@ -6,9 +10,9 @@ import io
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -21,7 +25,256 @@ from lscan.config.rig import OpticsSection, Rig, StripeSection
 from lscan.errors import InputError
 from lscan.files.disk import parse_json
 from lscan.files.pictures import encoded, read_png
-from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
+from lscan.records import Bytes, Floats, Ints, Marks, Status
+
+MANIFEST = "suite.json"
+VERSION = 3
+MOST_MANIFEST_BYTES, MOST_MEMBER_BYTES, MOST_SUITE_BYTES = 2**25, 2**28, 2**31
+PICTURE, DARK, LABELS, TRUTH, SETTINGS = (
+    "picture.png", "dark.png", "labels.png", "truth.csv", "stripe.json",
+)  # fmt: skip
+LAYERS = "layers.png"  # of a line's picture, where they are known
+MAP, BOARD, OPTICS = "map.csv", "board.json", "optics.json"
+FRAME, RIG, LINE, SLICES = "frame-{:04d}.png", "rig.json", "line.csv", "slices.csv"
+SMOOTH = (cv2.IMWRITE_PNG_COMPRESSION, 9)  # of a PNG without noise
+_PLAIN = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
+Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,99}$")]
+
+
+class MemberSum(Strict):
+    """Size in bytes and checksum of a member."""
+
+    size: int = Field(ge=0, le=MOST_MEMBER_BYTES)
+    sha256: str = Field(pattern="^[0-9a-f]{64}$")
+
+
+class SuiteContent(Strict):
+    """The manifest.
+
+    cases: pictures of a laser line, by name, with the case's value on each axis (water, target
+    ...).  boards, scans: likewise, pictures of the calibration board, and whole scans.
+    """
+
+    format: Literal["lscan-suite"] = "lscan-suite"
+    version: int = VERSION
+    name: str = Field(pattern="^[a-z0-9][a-z0-9-]{0,63}$")
+    seed: int = Field(ge=0)
+    made_by: Word
+    cases: Mapping[str, Mapping[Word, Word]]
+    boards: Mapping[str, Mapping[Word, Word]] = Field(default_factory=dict)
+    scans: Mapping[str, Mapping[Word, Word]] = Field(default_factory=dict)
+    members: Mapping[str, MemberSum]
+
+    @property
+    def kinds(self) -> dict[str, Mapping[str, Mapping[str, str]]]:
+        """What it holds, by what it is called, each by name with its axes."""
+        return {"cases": self.cases, "boards": self.boards, "scans": self.scans}
+
+
+def axes_of(cases: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
+    """How many cases there are of each value on each axis.
+
+    Parameters
+    ----------
+    cases : mapping, of a manifest: ``cases``, ``boards`` or ``scans``
+    """
+    found: dict[str, Counter[str]] = {}
+    for axes in cases.values():
+        for axis, value in axes.items():
+            found.setdefault(axis, Counter())[value] += 1
+    return {axis: dict(sorted(counts.items())) for axis, counts in found.items()}
+
+
+def manifest_bytes(content: SuiteContent) -> bytes:
+    """The one file that says this content: JSON with sorted keys, and its own checksum before."""
+    plain = json.dumps(content.model_dump(mode="json"), sort_keys=True, indent=1)
+    return f"{hashlib.sha256(plain.encode()).hexdigest()}\n{plain}\n".encode()
+
+
+def read_manifest(data: bytes, where: object) -> SuiteContent:
+    """The content that ``manifest_bytes`` wrote; InputError for any other bytes."""
+    try:
+        stated, _, plain = data.decode().partition("\n")
+        if hashlib.sha256(plain[:-1].encode()).hexdigest() != stated or plain[-1:] != "\n":
+            raise InputError(f"{MANIFEST} does not have its own checksum", where=where)
+        document = parse_json(plain, where)
+        version = document.get("version") if isinstance(document, dict) else None
+        if version != VERSION:
+            allowed = f"{VERSION}; lscan-sim suite make renders it anew"
+            raise InputError(
+                f"{MANIFEST} is of another version", where=where, value=version, allowed=allowed
+            )
+    except UnicodeDecodeError as error:
+        raise InputError(f"{MANIFEST} is no manifest of a suite", where=where) from error
+    content = check(SuiteContent, document, where=where, prefix=MANIFEST)
+    for name in content.members:
+        if not _PLAIN.fullmatch(name):
+            raise InputError("a member has a name that is not plain", where=where, value=name)
+    for kind, cases in content.kinds.items():
+        for name in (f"{case}/{part}" for case in cases for part in KINDS[kind].needed):
+            if name not in content.members:
+                raise InputError(f"member {name} is not in the manifest", where=where)
+    named = Counter(name for cases in content.kinds.values() for name in cases)
+    if twice := [name for name, count in named.items() if count > 1]:
+        raise InputError("a case is of two kinds", where=where, value=min(twice))
+    if sum(member.size for member in content.members.values()) > MOST_SUITE_BYTES:
+        raise InputError(f"{MANIFEST} states more than a suite may hold", where=where)
+    return content
+
+
+def member_sum(data: bytes) -> MemberSum:
+    """Size and checksum of a member's bytes."""
+    return MemberSum(size=len(data), sha256=hashlib.sha256(data).hexdigest())
+
+
+# Tables of truth, as CSV.
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table in a member.
+
+    Attributes
+    ----------
+    what : str, for errors
+    columns : str, their names, as the first line has them
+    form : str, how the numbers of a row are written
+    finite : int, how many of the first columns have a number wherever the status is OK
+    everywhere : bool, whether also where it is not; then there is a row at least
+    statuses : tuple of int, that there may be
+    """
+
+    what: str
+    columns: str
+    form: str
+    finite: int
+    everywhere: bool = False
+    statuses: tuple[int, ...] = tuple(Status)
+
+
+LINE_TRUTH = Table(
+    "a line's truth",
+    "centre_px,sigma_px,height_dn,noise_dn,multiple,status", "%.5f,%.4g,%.4g,%.4g,%d,%d", 2,
+)  # fmt: skip
+MARKS_TRUTH = Table(
+    "marks", "x_mm,z_mm,u_px,v_px,status", "%.4f,%.4f,%.6f,%.6f,%d", 4,
+    statuses=(Status.OK, Status.OUT_OF_VIEW, Status.OCCLUDED),
+)  # fmt: skip
+MAP_TRUTH = Table("a map", "u_px,v_px,x_mm,z_mm", "%.6f,%.6f,%.4f,%.4f", 4, everywhere=True)
+POINTS_TRUTH = Table(
+    "a scan's truth", "x_mm,z_mm,height_dn,multiple,status", "%.4f,%.4f,%.0f,%d,%d", 3
+)
+SLICES_TRUTH = Table(
+    "a scan's truth", "x_mm,y_mm,z_mm,status", "%.4f,%.4f,%.4f,%d", 3, everywhere=True
+)
+
+
+def table_bytes(table: Table, *columns: Floats | Ints) -> bytes:
+    """The CSV of a table.
+
+    Parameters
+    ----------
+    table : Table
+    columns : (N,) or (N, C) arrays, which beside each other are its columns
+    """
+    stream = io.StringIO()
+    np.savetxt(stream, np.column_stack(columns), table.form, header=table.columns, comments="")
+    return stream.getvalue().encode()
+
+
+def read_table(table: Table, data: bytes, where: object) -> Floats:
+    """The rows, (N, C), of a table that ``table_bytes`` wrote; InputError for any other bytes.
+
+    Parameters
+    ----------
+    table : Table
+    data : bytes
+    where : for errors
+    """
+    try:
+        names, *lines = csv.reader(io.StringIO(data.decode()))
+        if names != table.columns.split(","):
+            raise ValueError
+        rows = np.array(lines, dtype=float).reshape(len(lines), len(names))
+    except (ValueError, csv.Error) as error:
+        said = table.columns.replace(",", ", ")
+        raise InputError(f"is no table of {said}", where=where) from error
+    of = dict(zip(names, rows.T, strict=True))
+    status = of.get("status", np.full(len(rows), float(Status.OK)))
+    needed = rows[(status == Status.OK) | table.everywhere, : table.finite]
+    flags = np.isin(status, table.statuses).all() and np.isin(of.get("multiple", 0), (0, 1)).all()
+    if not (flags and np.isfinite(needed).all() and (len(rows) or not table.everywhere)):
+        raise InputError(f"is no table of {table.what}", where=where)
+    return rows
+
+
+# The members of a case.
+
+
+@dataclass(frozen=True)
+class CaseMembers:
+    """Reads the members of a case, whose bytes are as the manifest states; each names itself.
+
+    Attributes
+    ----------
+    case : str, its name
+    axes : mapping, its values
+    suite : where it lies, for errors
+    known : container of the names of the suite's members
+    member : callable, the bytes of a member by its name
+    """
+
+    case: str
+    axes: Mapping[str, str]
+    suite: object
+    known: Container[str]
+    member: Callable[[str], bytes]
+
+    def has(self, part: str) -> bool:
+        """Whether there is such a part."""
+        return f"{self.case}/{part}" in self.known
+
+    def png(self, part: str) -> Bytes:
+        """The picture in a member."""
+        return read_png(*self._bytes_of(part))
+
+    def table(self, table: Table, part: str) -> Floats:
+        """The rows of the table in a member."""
+        return read_table(table, *self._bytes_of(part))
+
+    def section(self, model: type[Model], part: str) -> Model:
+        """The section of a rig file in a member; InputError where it is none, or names code."""
+        data, where = self._bytes_of(part)
+        section = check(model, parse_json(data, where), where=where)
+        for of in (section, getattr(section, "stripe", None)):
+            if isinstance(of, StripeSection):
+                refuse_code(of.extractor, where)
+        return section
+
+    def differ(self, what: str) -> InputError:
+        """The error of members that do not fit each other."""
+        return InputError(f"members of case {self.case} differ in {what}", where=self.suite)
+
+    def _bytes_of(self, part: str) -> tuple[bytes, str]:
+        """The bytes of a member, and where it lies, for errors."""
+        name = f"{self.case}/{part}"
+        if name not in self.known:
+            raise InputError(f"member {name} is missing", where=self.suite)
+        return self.member(name), f"{self.suite}: member {name}"
+
+
+def section_bytes(section: Strict) -> bytes:
+    """The JSON of a section of a rig file."""
+    return f"{section.model_dump_json(indent=1)}\n".encode()
+
+
+def noisy_png(picture: Bytes) -> bytes:
+    """The PNG of a picture with noise: a fifteenth smaller than by the usual compression."""
+    level = (cv2.IMWRITE_PNG_COMPRESSION, 3)  # stated at all, each line has its own filter
+    return encoded(
+        picture, ".png", (*level, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
+    )
+
 
 # The layers of light that a picture is made of, as a picture of their logarithms.
 
@@ -77,55 +330,7 @@ def layers_of_picture(picture: Bytes) -> LightLayers:
     return LightLayers(*(light[picture[..., k]] for k in range(3)))
 
 
-# What a suite holds: its manifest, and a case's picture and truth as bytes of its members.
-
-
-MANIFEST = "suite.json"
-VERSION = 3
-MOST_MANIFEST_BYTES, MOST_MEMBER_BYTES, MOST_SUITE_BYTES = 2**25, 2**28, 2**31
-PICTURE, DARK, LABELS, TRUTH, SETTINGS = (
-    "picture.png", "dark.png", "labels.png", "truth.csv", "stripe.json",
-)  # fmt: skip
-PARTS = (PICTURE, LABELS, TRUTH, SETTINGS)
-LAYERS = "layers.png"  # of a line's picture, where they are known
-MAP, BOARD, OPTICS = "map.csv", "board.json", "optics.json"
-BOARD_PARTS = (PICTURE, TRUTH, MAP, BOARD, OPTICS)
-FRAME, RIG, LINE, SLICES = "frame-{:04d}.png", "rig.json", "line.csv", "slices.csv"
-SCAN_PARTS = (*BOARD_PARTS, RIG, LINE)
-COLUMNS = ("centre_px", "sigma_px", "height_dn", "noise_dn", "multiple", "status")
-SMOOTH = (cv2.IMWRITE_PNG_COMPRESSION, 9)  # of a PNG without noise
-_PLAIN = re.compile(r"[a-z0-9][a-z0-9._-]*/[a-z0-9][a-z0-9._-]*")
-Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]{0,99}$")]
-
-
-class MemberSum(Strict):
-    """Size in bytes and checksum of a member."""
-
-    size: int = Field(ge=0, le=MOST_MEMBER_BYTES)
-    sha256: str = Field(pattern="^[0-9a-f]{64}$")
-
-
-class SuiteContent(Strict):
-    """The manifest.
-
-    cases: pictures of a laser line, by name, with the case's value on each axis (water, target
-    ...).  boards, scans: likewise, pictures of the calibration board, and whole scans.
-    """
-
-    format: Literal["lscan-suite"] = "lscan-suite"
-    version: int = VERSION
-    name: str = Field(pattern="^[a-z0-9][a-z0-9-]{0,63}$")
-    seed: int = Field(ge=0)
-    made_by: Word
-    cases: Mapping[str, Mapping[Word, Word]]
-    boards: Mapping[str, Mapping[Word, Word]] = Field(default_factory=dict)
-    scans: Mapping[str, Mapping[Word, Word]] = Field(default_factory=dict)
-    members: Mapping[str, MemberSum]
-
-    @property
-    def kinds(self) -> dict[str, Mapping[str, Mapping[str, str]]]:
-        """What it holds, by what it is called, each by name with its axes."""
-        return {"cases": self.cases, "boards": self.boards, "scans": self.scans}
+# The cases.
 
 
 @dataclass(frozen=True)
@@ -150,7 +355,7 @@ class CaseTruth:
     status: Ints
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SuiteCase:
     """One picture of a suite.
 
@@ -174,132 +379,43 @@ class SuiteCase:
     truth: CaseTruth
     settings: StripeSection
     layers: LightLayers | None = None
+    needed: ClassVar = (PICTURE, LABELS, TRUTH, SETTINGS)
+
+    def parts(self) -> dict[str, bytes]:
+        """The bytes of each member by its name within the case, that of the truth last."""
+        noisy = {PICTURE: self.picture, DARK: self.dark}
+        members = {name: noisy_png(shown) for name, shown in noisy.items() if shown is not None}
+        members[LABELS] = encoded(self.labels, ".png")
+        if self.layers is not None:
+            members[LAYERS] = encoded(layers_picture(self.layers), ".png", SMOOTH)
+        members[SETTINGS] = section_bytes(self.settings)
+        members[TRUTH] = table_bytes(LINE_TRUTH, *vars(self.truth).values())
+        return members
+
+    @classmethod
+    def read(cls, of: CaseMembers) -> "SuiteCase":
+        """The case whose ``parts`` are members; InputError, which names one that is harmed.
+
+        Parameters
+        ----------
+        of : CaseMembers
+        """
+        picture, labels = of.png(PICTURE), of.png(LABELS)
+        dark, light = (of.png(part) if of.has(part) else None for part in (DARK, LAYERS))
+        truth, settings = of.table(LINE_TRUTH, TRUTH).T, of.section(StripeSection, SETTINGS)
+        sizes = labels.shape == picture.shape[:2]
+        sizes &= truth.shape[1] == picture.shape[settings.axis == "columns"]
+        sizes &= dark is None or dark.shape == picture.shape
+        if not sizes or (light is not None and light.shape != (*labels.shape, 3)):
+            raise of.differ("size")
+        return cls(
+            of.case, of.axes, picture, dark, labels,
+            CaseTruth(*truth[:4], *truth[4:].astype(np.int64)), settings,
+            None if light is None else layers_of_picture(light),
+        )  # fmt: skip
 
 
-def axes_of(cases: Mapping[str, Mapping[str, str]]) -> dict[str, dict[str, int]]:
-    """How many cases there are of each value on each axis.
-
-    Parameters
-    ----------
-    cases : mapping, of a manifest: ``cases``, ``boards`` or ``scans``
-    """
-    found: dict[str, Counter[str]] = {}
-    for axes in cases.values():
-        for axis, value in axes.items():
-            found.setdefault(axis, Counter())[value] += 1
-    return {axis: dict(sorted(counts.items())) for axis, counts in found.items()}
-
-
-def manifest_bytes(content: SuiteContent) -> bytes:
-    """The one file that says this content: JSON with sorted keys, and its own checksum before."""
-    plain = json.dumps(content.model_dump(mode="json"), sort_keys=True, indent=1)
-    return f"{hashlib.sha256(plain.encode()).hexdigest()}\n{plain}\n".encode()
-
-
-def read_manifest(data: bytes, where: object) -> SuiteContent:
-    """The content that ``manifest_bytes`` wrote; InputError for any other bytes."""
-    try:
-        stated, _, plain = data.decode().partition("\n")
-        if hashlib.sha256(plain[:-1].encode()).hexdigest() != stated or plain[-1:] != "\n":
-            raise InputError(f"{MANIFEST} does not have its own checksum", where=where)
-        document = parse_json(plain, where)
-        version = document.get("version") if isinstance(document, dict) else None
-        if version != VERSION:
-            allowed = f"{VERSION}; lscan-sim suite make renders it anew"
-            raise InputError(
-                f"{MANIFEST} is of another version", where=where, value=version, allowed=allowed
-            )
-    except UnicodeDecodeError as error:
-        raise InputError(f"{MANIFEST} is no manifest of a suite", where=where) from error
-    content = check(SuiteContent, document, where=where, prefix=MANIFEST)
-    for name in content.members:
-        if not _PLAIN.fullmatch(name):
-            raise InputError("a member has a name that is not plain", where=where, value=name)
-    kinds = content.kinds.values()
-    for cases, parts in zip(kinds, (PARTS, BOARD_PARTS, SCAN_PARTS), strict=True):
-        for name in (f"{case}/{part}" for case in cases for part in parts):
-            if name not in content.members:
-                raise InputError(f"member {name} is not in the manifest", where=where)
-    named = Counter(name for cases in kinds for name in cases)
-    if twice := [name for name, count in named.items() if count > 1]:
-        raise InputError("a case is of two kinds", where=where, value=min(twice))
-    if sum(member.size for member in content.members.values()) > MOST_SUITE_BYTES:
-        raise InputError(f"{MANIFEST} states more than a suite may hold", where=where)
-    return content
-
-
-def truth_bytes(truth: CaseTruth) -> bytes:
-    """The truth as CSV: centres to 1e-5 px, all else to four digits."""
-    stream = io.StringIO()
-    stream.write(",".join(COLUMNS) + "\n")
-    table = np.column_stack([getattr(truth, name) for name in COLUMNS])
-    np.savetxt(stream, table, fmt=("%.5f", "%.4g", "%.4g", "%.4g", "%d", "%d"), delimiter=",")
-    return stream.getvalue().encode()
-
-
-def read_truth(data: bytes, where: object) -> CaseTruth:
-    """The truth that ``truth_bytes`` wrote; InputError where it is none."""
-    try:
-        rows = list(csv.reader(io.StringIO(data.decode())))
-        if tuple(rows[0]) != COLUMNS:
-            raise ValueError
-        table = np.array(rows[1:], dtype=float).reshape(len(rows) - 1, len(COLUMNS))
-        multiple, status = table[:, 4], table[:, 5]
-        if not (np.isin(multiple, (0, 1)).all() and np.isin(status, list(Status)).all()):
-            raise ValueError
-        if not np.isfinite(table[status == Status.OK, :2]).all():
-            raise ValueError
-    except (ValueError, IndexError, csv.Error) as error:
-        raise InputError("is no table of a line's truth", where=where) from error
-    centre, sigma, height, noise = table[:, :4].T
-    whole = multiple.astype(np.int64), status.astype(np.int64)
-    return CaseTruth(centre, sigma, height, noise, *whole)
-
-
-def read_section(model: type[Model], data: bytes, where: object) -> Model:
-    """The section of a rig file in a member; InputError where it is none, or names code."""
-    section = check(model, parse_json(data, where), where=where)
-    for of in (section, getattr(section, "stripe", None)):
-        if isinstance(of, StripeSection):
-            refuse_code(of.extractor, where)
-    return section
-
-
-def member_sum(data: bytes) -> MemberSum:
-    """Size and checksum of a member's bytes."""
-    return MemberSum(size=len(data), sha256=hashlib.sha256(data).hexdigest())
-
-
-def noisy_png(picture: Bytes) -> bytes:
-    """The PNG of a picture with noise: a fifteenth smaller than by the usual compression."""
-    level = (cv2.IMWRITE_PNG_COMPRESSION, 3)  # stated at all, each line has its own filter
-    return encoded(
-        picture, ".png", (*level, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
-    )
-
-
-def case_members(case: SuiteCase) -> dict[str, bytes]:
-    """The bytes of each member of a case by its name, that of the truth last."""
-    noisy = {PICTURE: case.picture, DARK: case.dark}
-    members = {name: noisy_png(shown) for name, shown in noisy.items() if shown is not None}
-    members[LABELS] = encoded(case.labels, ".png")
-    if case.layers is not None:
-        members[LAYERS] = encoded(layers_picture(case.layers), ".png", SMOOTH)
-    members[SETTINGS] = f"{case.settings.model_dump_json(indent=1)}\n".encode()
-    members[TRUTH] = truth_bytes(case.truth)
-    return {f"{case.name}/{name}": data for name, data in members.items()}
-
-
-# Pictures of the calibration board in a suite: the marks' true places, the map on the sheet.
-
-
-MARK_COLUMNS = ("x_mm", "z_mm", "u_px", "v_px", "status")
-MAP_COLUMNS = ("u_px", "v_px", "x_mm", "z_mm")
-MARK_STATUSES = (Status.OK, Status.OUT_OF_VIEW, Status.OCCLUDED)
-_FORMS = {"px": "%.6f", "mm": "%.4f", "dn": "%.0f"}  # by a column's unit
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class BoardCase:
     """One picture of the calibration board.
 
@@ -325,110 +441,43 @@ class BoardCase:
     marks: Marks
     map_px: Floats
     map_mm: Floats
+    needed: ClassVar = (PICTURE, TRUTH, MAP, BOARD, OPTICS)
+
+    def parts(self) -> dict[str, bytes]:
+        """The bytes of each member by its name within the case, that of the marks last."""
+        marks = self.marks
+        return {
+            PICTURE: noisy_png(self.picture),
+            BOARD: section_bytes(self.board),
+            OPTICS: section_bytes(self.optics),
+            MAP: table_bytes(MAP_TRUTH, self.map_px, self.map_mm),
+            TRUTH: table_bytes(MARKS_TRUTH, marks.board_mm, marks.image_px, marks.status),
+        }
+
+    @classmethod
+    def read(cls, of: CaseMembers) -> "BoardCase":
+        """The case whose ``parts`` are members; InputError, which names one that is harmed.
+
+        Parameters
+        ----------
+        of : CaseMembers
+        """
+        board, marks = of.section(Board, BOARD), of.table(MARKS_TRUTH, TRUTH)
+        count = len(board.grid.points_mm())
+        if len(marks) != count + sum(len(ruler.points_mm()) for ruler in board.ruler):
+            raise of.differ("marks")
+        status, places = marks[:, 4], of.table(MAP_TRUTH, MAP)
+        shown = status == Status.OK
+        pixels = np.where(shown[:, np.newaxis], marks[:, 2:4], np.nan)
+        sigma = np.where(shown, 0.0, np.nan)
+        return cls(
+            of.case, of.axes, of.png(PICTURE), board, of.section(OpticsSection, OPTICS),
+            Marks(marks[:, :2], pixels, sigma, status.astype(np.int64)),
+            places[:, :2], places[:, 2:],
+        )  # fmt: skip
 
 
-def board_members(case: BoardCase) -> dict[str, bytes]:
-    """The bytes of each member of a case by its name, that of the marks last.
-
-    Parameters
-    ----------
-    case : BoardCase
-    """
-    marks = np.column_stack([case.marks.board_mm, case.marks.image_px, case.marks.status])
-    members = {
-        PICTURE: noisy_png(case.picture),
-        BOARD: f"{case.board.model_dump_json(indent=1)}\n".encode(),
-        OPTICS: f"{case.optics.model_dump_json(indent=1)}\n".encode(),
-        MAP: table_bytes(MAP_COLUMNS, np.column_stack([case.map_px, case.map_mm])),
-        TRUTH: table_bytes(MARK_COLUMNS, marks),
-    }
-    return {f"{case.name}/{name}": data for name, data in members.items()}
-
-
-def read_board_case(
-    name: str, axes: Mapping[str, str], member: Callable[[str], bytes], suite: object
-) -> BoardCase:
-    """The case that ``board_members`` wrote.
-
-    Parameters
-    ----------
-    name : str, of the case
-    axes : mapping, its values
-    member : callable, the bytes of a member by its name
-    suite : where it lies, for errors
-
-    Raises
-    ------
-    InputError
-        Names the member that is harmed.
-    """
-
-    def shown(part: str) -> tuple[bytes, str]:
-        return member(f"{name}/{part}"), f"{suite}: member {name}/{part}"
-
-    board = read_section(Board, *shown(BOARD))
-    marks = _marks(*shown(TRUTH))
-    places = [board.grid.points_mm(), *(ruler.points_mm() for ruler in board.ruler)]
-    if len(marks.status) != sum(map(len, places)):
-        raise InputError(f"members of case {name} differ in marks", where=suite)
-    table = read_table(MAP_COLUMNS, *shown(MAP))
-    if not (len(table) and np.isfinite(table).all()):
-        raise InputError("is no table of a map", where=shown(MAP)[1])
-    picture, optics = read_png(*shown(PICTURE)), read_section(OpticsSection, *shown(OPTICS))
-    return BoardCase(name, axes, picture, board, optics, marks, table[:, :2], table[:, 2:])
-
-
-def _marks(data: bytes, where: object) -> Marks:
-    table = read_table(MARK_COLUMNS, data, where)
-    status = table[:, 4]
-    shown = status == Status.OK
-    if not (np.isin(status, MARK_STATUSES).all() and np.isfinite(table[shown, :4]).all()):
-        raise InputError("is no table of marks", where=where)
-    pixels = np.where(shown[:, np.newaxis], table[:, 2:4], np.nan)
-    return Marks(table[:, :2], pixels, np.where(shown, 0.0, np.nan), status.astype(np.int64))
-
-
-def table_bytes(columns: Sequence[str], rows: Floats) -> bytes:
-    """CSV: px to a millionth, mm to a ten-thousandth, all else whole.
-
-    Parameters
-    ----------
-    columns : sequence of str, C of them
-    rows : (N, C) array
-    """
-    stream = io.StringIO()
-    stream.write(",".join(columns) + "\n")
-    form = [_FORMS.get(name.rpartition("_")[2], "%d") for name in columns]
-    np.savetxt(stream, rows, fmt=form, delimiter=",")
-    return stream.getvalue().encode()
-
-
-def read_table(columns: Sequence[str], data: bytes, where: object) -> Floats:
-    """The rows, (N, C), that ``table_bytes`` wrote; InputError for any other bytes.
-
-    Parameters
-    ----------
-    columns : sequence of str, C of them
-    data : bytes
-    where : for errors
-    """
-    try:
-        head, *rows = csv.reader(io.StringIO(data.decode()))
-        if tuple(head) != tuple(columns):
-            raise ValueError
-        return np.array(rows, dtype=float).reshape(len(rows), len(columns))
-    except (ValueError, csv.Error) as error:
-        raise InputError(f"is no table of {', '.join(columns)}", where=where) from error
-
-
-# Whole scans in a suite: the picture of the board, those of the line, and what they truly show.
-
-
-LINE_COLUMNS = ("x_mm", "z_mm", "height_dn", "multiple", "status")
-SLICE_COLUMNS = ("x_mm", "y_mm", "z_mm", "status")
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScanCase:
     """One scan, with the board that its rig is calibrated by.
 
@@ -460,101 +509,59 @@ class ScanCase:
     status: Ints
     slices_mm: Floats
     slice_status: Ints
+    needed: ClassVar = (*BoardCase.needed, RIG, LINE)
 
     @property
     def picture(self) -> Bytes:
         """The picture in the middle of the scan, to look at."""
         return self.frames[len(self.frames) // 2]
 
+    def parts(self) -> dict[str, bytes]:
+        """The bytes of each member by its name within the case, that of the marks' truth last.
 
-def _rig_bytes(rig: Rig) -> bytes:
-    """JSON, the drivers' options left out."""
-    stated = rig.model_dump(mode="json", exclude_unset=True)
-    for device in ("camera", "track"):
-        stated[device].pop("options", None)
-    return f"{json.dumps(stated, indent=1, sort_keys=True)}\n".encode()
+        The rig without its drivers' options.
+        """
+        stated = self.rig.model_dump(mode="json", exclude_unset=True)
+        for device in ("camera", "track"):
+            stated[device].pop("options", None)
+        members = {FRAME.format(k): noisy_png(frame) for k, frame in enumerate(self.frames)}
+        members[RIG] = f"{json.dumps(stated, indent=1, sort_keys=True)}\n".encode()
+        columns = (self.height_dn, self.multiple, self.status)
+        members[LINE] = table_bytes(
+            POINTS_TRUTH, self.line_mm.reshape(-1, 2), *(of.ravel() for of in columns)
+        )
+        if len(self.slices_mm):
+            members[SLICES] = table_bytes(SLICES_TRUTH, self.slices_mm, self.slice_status)
+        return {**members, **self.board.parts()}
 
+    @classmethod
+    def read(cls, of: CaseMembers) -> "ScanCase":
+        """The case whose ``parts`` are members; InputError, which names one that is harmed.
 
-def scan_members(case: ScanCase) -> dict[str, bytes]:
-    """The bytes of each member of a case by its name, that of the marks' truth last.
-
-    Parameters
-    ----------
-    case : ScanCase
-    """
-    line = np.dstack([case.line_mm, np.rint(case.height_dn), case.multiple, case.status])
-    members = {FRAME.format(k): noisy_png(frame) for k, frame in enumerate(case.frames)}
-    members[RIG] = _rig_bytes(case.rig)
-    members[LINE] = table_bytes(LINE_COLUMNS, line.reshape(-1, len(LINE_COLUMNS)))
-    if len(case.slices_mm):
-        table = np.column_stack([case.slices_mm, case.slice_status])
-        members[SLICES] = table_bytes(SLICE_COLUMNS, table)
-    named = {f"{case.name}/{name}": data for name, data in members.items()}
-    return {**named, **board_members(case.board)}
-
-
-def read_scan_case(
-    name: str,
-    axes: Mapping[str, str],
-    member: Callable[[str], bytes],
-    has: Callable[[str], bool],
-    suite: object,
-) -> ScanCase:
-    """The case that ``scan_members`` wrote.
-
-    Parameters
-    ----------
-    name : str, of the case
-    axes : mapping, its values
-    member : callable, the bytes of a member by its name
-    has : callable, whether there is a member of that name
-    suite : where it lies, for errors
-
-    Raises
-    ------
-    InputError
-        Names the member that is harmed.
-    """
-
-    def shown(part: str) -> tuple[bytes, str]:
-        if not has(f"{name}/{part}"):
-            raise InputError(f"member {name}/{part} is missing", where=suite)
-        return member(f"{name}/{part}"), f"{suite}: member {name}/{part}"
-
-    board = read_board_case(name, axes, member, suite)
-    rig = read_section(Rig, *shown(RIG))
-    camera, count = rig.camera, rig.plan.frames
-    frames = tuple(read_png(*shown(FRAME.format(k))) for k in range(count))
-    columns = camera.width_px if rig.stripe.axis == "columns" else camera.height_px
-    size = (camera.height_px, camera.width_px)
-    line = read_table(LINE_COLUMNS, *shown(LINE))
-    sizes = {picture.shape[:2] for picture in (board.picture, *frames)}
-    if sizes != {size} or len(line) != count * columns:
-        raise InputError(f"members of case {name} differ in size", where=suite)
-    points = line.reshape(count, columns, len(LINE_COLUMNS))
-    _check(points[..., :3], points[..., 4], np.isin(points[..., 3], (0, 1)), shown(LINE)[1])
-    slices = np.empty((0, len(SLICE_COLUMNS)))
-    if has(f"{name}/{SLICES}"):
-        slices = read_table(SLICE_COLUMNS, *shown(SLICES))
-        _check(slices[:, :3], slices[:, 3], np.isfinite(slices[:, :3]), shown(SLICES)[1])
-    return ScanCase(
-        name,
-        axes,
-        board,
-        frames,
-        rig,
-        points[..., :2],
-        points[..., 2],
-        points[..., 3].astype(np.int64),
-        points[..., 4].astype(np.int64),
-        slices[:, :3],
-        slices[:, 3].astype(np.int64),
-    )
+        Parameters
+        ----------
+        of : CaseMembers
+        """
+        board, rig = BoardCase.read(of), of.section(Rig, RIG)
+        size = (rig.camera.height_px, rig.camera.width_px)
+        frames = tuple(of.png(FRAME.format(k)) for k in range(rig.plan.frames))
+        points = of.table(POINTS_TRUTH, LINE)
+        shape = len(frames), size[rig.stripe.axis == "columns"]
+        sizes = {picture.shape[:2] for picture in (board.picture, *frames)}
+        if sizes != {size} or len(points) != np.prod(shape):
+            raise of.differ("size")
+        slices = of.table(SLICES_TRUTH, SLICES) if of.has(SLICES) else np.empty((0, 4))
+        columns = points.T.reshape(-1, *shape)
+        multiple, status = columns[3:].astype(np.int64)
+        return cls(
+            of.case, of.axes, board, frames, rig, points[:, :2].reshape(*shape, 2), columns[2],
+            multiple, status, slices[:, :3], slices[:, 3].astype(np.int64),
+        )  # fmt: skip
 
 
-def _check(places: Floats, status: Floats, plain: Mask, where: str) -> None:
-    """Refuse a table of statuses that are none, or of places that are no numbers."""
-    shown = status == Status.OK
-    whole = np.isin(status, list(Status)).all() and np.isfinite(places[shown]).all()
-    if not (whole and plain.all()):
-        raise InputError("is no table of a scan's truth", where=where)
+KINDS: Mapping[str, type[SuiteCase | BoardCase | ScanCase]] = {
+    "cases": SuiteCase,
+    "boards": BoardCase,
+    "scans": ScanCase,
+}
+"""By what a manifest calls them, with the parts that a case of each must have."""

@@ -6,7 +6,6 @@ import io
 import logging
 import re
 import zipfile
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,39 +13,27 @@ from importlib.metadata import entry_points
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 from lscan.config.plugins import broken_plugin, find_entry, installed
-from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.files.containers import ReadMember, open_zip
 from lscan.files.disk import cache_folder, make_folder, read_bytes, write_atomically
-from lscan.files.pictures import read_png
 from lscan.suites.content import (
-    DARK,
-    LABELS,
-    LAYERS,
+    KINDS,
     MANIFEST,
     MOST_MANIFEST_BYTES,
     MOST_MEMBER_BYTES,
     MOST_SUITE_BYTES,
-    PICTURE,
-    SETTINGS,
     TRUTH,
     BoardCase,
+    CaseMembers,
     ScanCase,
     SuiteCase,
     SuiteContent,
-    board_members,
-    case_members,
-    layers_of_picture,
     manifest_bytes,
     member_sum,
-    read_board_case,
     read_manifest,
-    read_scan_case,
-    read_section,
-    read_truth,
-    scan_members,
 )
 from lscan.version import __version__
 
@@ -54,9 +41,10 @@ from lscan.version import __version__
 
 
 CaseAxes = Mapping[str, Mapping[str, str]]  # a value on each axis, by case
+AnyCase = SuiteCase | BoardCase | ScanCase
 
 
-def write_case(folder: Path, case: SuiteCase | BoardCase | ScanCase) -> None:
+def write_case(folder: Path, case: AnyCase) -> None:
     """Write the members of a case, its truth last; InputError where the disk refuses.
 
     Parameters
@@ -65,14 +53,8 @@ def write_case(folder: Path, case: SuiteCase | BoardCase | ScanCase) -> None:
     case : SuiteCase, BoardCase or ScanCase
     """
     make_folder(folder / case.name)
-    for name, data in _members(case).items():
-        write_atomically(folder / name, data)
-
-
-def _members(case: SuiteCase | BoardCase | ScanCase) -> dict[str, bytes]:
-    if isinstance(case, SuiteCase):
-        return case_members(case)
-    return board_members(case) if isinstance(case, BoardCase) else scan_members(case)
+    for part, data in case.parts().items():
+        write_atomically(folder / case.name / part, data)
 
 
 def is_written(folder: Path, case: str) -> bool:
@@ -106,8 +88,7 @@ def write_manifest(
     cases : mapping, the axes of each picture of a line
     boards, scans : mapping or None, likewise of the board, and of whole scans
     """
-    boards, scans = boards or {}, scans or {}
-    every = (*cases, *boards, *scans)
+    every = (*cases, *(boards or {}), *(scans or {}))
     files = sorted(file for case in every for file in (folder / case).iterdir())
     members = {
         f"{file.parent.name}/{file.name}": member_sum(read_bytes(file, MOST_MEMBER_BYTES, folder))
@@ -115,14 +96,9 @@ def write_manifest(
         if not file.name.startswith(".")
     }
     content = SuiteContent(
-        name=name,
-        seed=seed,
-        made_by=made_by,
-        cases=cases,
-        boards=boards,
-        scans=scans,
-        members=members,
-    )
+        name=name, seed=seed, made_by=made_by, members=members, cases=cases, boards=boards or {},
+        scans=scans or {},
+    )  # fmt: skip
     write_atomically(folder / MANIFEST, manifest_bytes(content))
     return content
 
@@ -173,68 +149,32 @@ class Suite:
             raise InputError(f"member {name} is not what the manifest says", where=self.path)
         return data
 
-    def case(self, name: str) -> SuiteCase:
-        """A case; InputError, which names the member, where it is harmed.
+    def case(self, name: str) -> Any:
+        """A case, of a line, of the board, or a scan; InputError, which names a harmed member.
 
         Parameters
         ----------
         name : str, as in the manifest
         """
-        if name not in self.content.cases:
-            raise InputError("no such case", where=self.path, value=name)
+        for kind, cases in self.content.kinds.items():
+            if name in cases:
+                members = self.content.members
+                return KINDS[kind].read(
+                    CaseMembers(name, cases[name], self.path, members, self.member)
+                )
+        raise InputError("no such case", where=self.path, value=name)
 
-        def shown(part: str) -> tuple[bytes, str]:
-            return self.member(f"{name}/{part}"), f"{self.path}: member {name}/{part}"
-
-        picture, labels = read_png(*shown(PICTURE)), read_png(*shown(LABELS))
-        has_dark = f"{name}/{DARK}" in self.content.members
-        dark = read_png(*shown(DARK)) if has_dark else None
-        has_layers = f"{name}/{LAYERS}" in self.content.members
-        light = read_png(*shown(LAYERS)) if has_layers else None
-        truth, settings = read_truth(*shown(TRUTH)), read_section(StripeSection, *shown(SETTINGS))
-        along = picture.shape[1] if settings.axis == "columns" else picture.shape[0]
-        sizes = labels.shape == picture.shape[:2] and len(truth.status) == along
-        sizes &= dark is None or dark.shape == picture.shape
-        if not sizes or (light is not None and light.shape != (*labels.shape, 3)):
-            raise InputError(f"members of case {name} differ in size", where=self.path)
-        layers = None if light is None else layers_of_picture(light)
-        axes = self.content.cases[name]
-        return SuiteCase(name, axes, picture, dark, labels, truth, settings, layers)
-
-    def board(self, name: str) -> BoardCase:
-        """A picture of the board; InputError, which names the member, where it is harmed.
-
-        Parameters
-        ----------
-        name : str, as in the manifest
-        """
-        if name not in self.content.boards:
-            raise InputError("no such case", where=self.path, value=name)
-        return read_board_case(name, self.content.boards[name], self.member, self.path)
-
-    def scan(self, name: str) -> ScanCase:
-        """A whole scan; InputError, which names the member, where it is harmed.
-
-        Parameters
-        ----------
-        name : str, as in the manifest
-        """
-        if name not in self.content.scans:
-            raise InputError("no such case", where=self.path, value=name)
-        axes, has = self.content.scans[name], self.content.members.__contains__
-        return read_scan_case(name, axes, self.member, has, self.path)
+    def cases(self) -> Iterator[SuiteCase]:
+        """Each picture of a line in the order of their names."""
+        return map(self.case, sorted(self.content.cases))
 
     def boards(self) -> Iterator[BoardCase]:
         """Each picture of the board in the order of their names."""
-        return (self.board(name) for name in sorted(self.content.boards))
-
-    def cases(self) -> Iterator[SuiteCase]:
-        """Each case in the order of their names."""
-        return (self.case(name) for name in sorted(self.content.cases))
+        return map(self.case, sorted(self.content.boards))
 
     def scans(self) -> Iterator[ScanCase]:
         """Each scan in the order of their names."""
-        return (self.scan(name) for name in sorted(self.content.scans))
+        return map(self.case, sorted(self.content.scans))
 
 
 def open_suite(path: Path) -> Suite:
@@ -265,8 +205,9 @@ def verify_suite(path: Path) -> Suite:
     """
     suite = open_suite(path)
     members = {name: suite.member(name) for name in suite.content.members}
-    for cases in (suite.cases(), suite.boards(), suite.scans()):
-        deque(cases, maxlen=0)
+    for cases in suite.content.kinds.values():
+        for name in sorted(cases):
+            suite.case(name)
     if not path.is_dir():
         written = archive_bytes(suite.content, members)
         if path.stat().st_size != len(written) or written != read_bytes(path, MOST_SUITE_BYTES):

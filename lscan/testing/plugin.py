@@ -16,11 +16,11 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Callable, Generator
 
-    from lscan.benchmark.judging import JudgedExtractor
-    from lscan.benchmark.suiterun import SuiteRun
+    from lscan.benchmark.suiterun import CaseSource, SuiteRun
     from lscan.suites import BoardCase, ScanCase, SuiteCase
 
-CASE, BOARD, SCAN = "stripe_case", "board_case", "scan_case"
+CASES = {"stripe_case": "cases", "board_case": "boards", "scan_case": "scans"}
+"""The fixtures of a case, and what a suite's manifest calls such cases."""
 SUITE, UPDATE = "--lscan-suite", "--lscan-update"
 USUAL = "drawn"
 MARK = "lscan_suite"
@@ -69,9 +69,9 @@ def refuse_namesakes() -> None:
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """One test for each case of the suite where a test takes a fixture of one."""
-    for fixture, cases in ((CASE, _cases), (BOARD, _boards), (SCAN, _scans)):
+    for fixture, kind in CASES.items():
         if fixture in metafunc.fixturenames:
-            names = sorted(cases(_suite(metafunc.definition))) or [NONE]
+            names = sorted(_case_source(_suite(metafunc.definition), kind).axes) or [NONE]
             metafunc.parametrize(fixture, names, indirect=True)
 
 
@@ -84,67 +84,49 @@ def lscan_suite(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def stripe_case(request: pytest.FixtureRequest) -> SuiteCase:
     """One case of the suite: picture, truth, settings, values on the suite's axes."""
-    return _case_of(_cases, request)
+    return _case_of(request)
 
 
 @pytest.fixture
 def board_case(request: pytest.FixtureRequest) -> BoardCase:
     """One picture of the board of the suite: its marks and the map on the sheet, known."""
-    return _case_of(_boards, request)
+    return _case_of(request)
 
 
 @pytest.fixture
 def scan_case(request: pytest.FixtureRequest) -> ScanCase:
     """One whole scan of the suite, with its board: the rig, the pictures, every point known."""
-    return _case_of(_scans, request)
+    return _case_of(request)
 
 
 @pytest.fixture
 def judge_extractor(lscan_suite: str) -> Callable[[str], SuiteRun]:
     """A function that judges an extractor, by name or package.module:function, on the suite."""
-
-    def judged(name: str) -> SuiteRun:
-        from lscan.benchmark.suiterun import run_suite
-
-        return run_suite(lscan_suite, [name])
-
-    return judged
+    return _judge_of("extractor", lscan_suite)
 
 
 @pytest.fixture
 def judge_reader(lscan_suite: str) -> Callable[[str], SuiteRun]:
     """A function that judges a reader of control points, by name, on the suite's boards."""
-
-    def judged(name: str) -> SuiteRun:
-        from lscan.benchmark.suiterun import run_boards
-
-        return run_boards(lscan_suite, [name], [])
-
-    return judged
+    return _judge_of("reader", lscan_suite)
 
 
 @pytest.fixture
 def judge_map(lscan_suite: str) -> Callable[[str], SuiteRun]:
     """A function that judges a plane map, by name, on the suite's boards."""
-
-    def judged(name: str) -> SuiteRun:
-        from lscan.benchmark.suiterun import run_boards
-
-        return run_boards(lscan_suite, [], [name])
-
-    return judged
+    return _judge_of("map", lscan_suite)
 
 
 @pytest.fixture
 def judge_chain(lscan_suite: str) -> Callable[[str | Path], SuiteRun]:
     """A function that judges a chain, by rig file or name of a scene, on the suite's scans."""
+    return _judge_of("chain", lscan_suite)
 
-    def judged(chain: str | Path) -> SuiteRun:
-        from lscan.benchmark.suiterun import run_chains
 
-        return run_chains(lscan_suite, [str(chain)])
+def _judge_of(role: str, suite: str) -> Callable[[str | Path], SuiteRun]:
+    from lscan.benchmark.suiterun import run_suite
 
-    return judged
+    return lambda name: run_suite(suite, {role: [str(name)]})
 
 
 @pytest.fixture
@@ -157,7 +139,7 @@ def assert_no_worse(
     whose probability of failing where nothing changed is 1 %.
     """
 
-    def held(result: SuiteRun, baseline: str | Path) -> None:
+    def compare(result: SuiteRun, baseline: str | Path) -> None:
         from lscan.benchmark.suiterun import (
             changes_in_words,
             compare_saved,
@@ -183,10 +165,10 @@ def assert_no_worse(
                 *(one.in_words for one in worse),
                 *changes_in_words(result, file),
                 f"pictures: {tmp_path}",
-                *sorted({_command(one, lscan_suite, file) for one in result.judged}),
+                f"lscan bench {result.asked} --suite {lscan_suite} --only --against {file}",
             ]), pytrace=False)  # fmt: skip
 
-    return held
+    return compare
 
 
 @pytest.hookimpl(wrapper=True)
@@ -204,7 +186,7 @@ def pytest_runtest_makereport(
         report.outcome = "skipped"
         report.longrepr = (where, line or 0, f"baseline written: {', '.join(map(str, files))}")
     given = getattr(item, "funcargs", {})
-    case = given.get(CASE) or given.get(BOARD) or given.get(SCAN)
+    case = next((given[fixture] for fixture in CASES if fixture in given), None)
     if report.when == "call" and report.failed and case is not None:
         report.sections.append((f"lscan case {case.name}", _case_in_words(item, case)))
     return report
@@ -218,17 +200,24 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
             terminalreporter.write_line(f"written, nothing tested: {file} ({test})")
 
 
-def _case_of(cases: Callable[[str], dict[str, Callable[[], Any]]], request: Any) -> Any:
+def _case_of(request: pytest.FixtureRequest) -> Any:
     """The case that a fixture of one is to give; the test fails where the suite has none such."""
     suite = _suite(request.node)
-    known = cases(suite)
-    if not known:
+    source = _case_source(suite, CASES[str(request.fixturename)])
+    if not source.axes:
         pytest.fail(
             f"takes {request.fixturename}, of which the suite {suite!r} holds none: name one that "
             f"does by {SUITE}, such as quick, or chains for scans",
             pytrace=False,
         )
-    return known[request.param]()
+    return source.case(request.param)
+
+
+@cache
+def _case_source(suite: str, kind: str) -> CaseSource:
+    from lscan.benchmark.suiterun import CaseSource
+
+    return CaseSource.of(suite, kind)
 
 
 def _suite(node: pytest.Item | pytest.Function | Any) -> str:
@@ -243,52 +232,6 @@ def _suite(node: pytest.Item | pytest.Function | Any) -> str:
     return str(option or (named[0] if named else node.config.getini("lscan_suite")))
 
 
-@cache
-def _cases(suite: str) -> dict[str, Callable[[], SuiteCase]]:
-    """What reads each case of a suite, by the case's name."""
-    from functools import partial
-
-    from lscan.benchmark.suiterun import DRAWN, drawn_cases
-    from lscan.suites import find_suite, open_suite
-
-    if suite == DRAWN:
-        return {case.name: partial(_same, case) for case in drawn_cases(1)}
-    opened = open_suite(find_suite(suite))
-    return {name: partial(opened.case, name) for name in opened.content.cases}
-
-
-@cache
-def _boards(suite: str) -> dict[str, Callable[[], BoardCase]]:
-    """What reads each picture of the board of the suite; drawn lines have none."""
-    from functools import partial
-
-    from lscan.benchmark.suiterun import DRAWN
-    from lscan.suites import find_suite, open_suite
-
-    if suite == DRAWN:
-        return {}
-    opened = open_suite(find_suite(suite))
-    return {name: partial(opened.board, name) for name in opened.content.boards}
-
-
-@cache
-def _scans(suite: str) -> dict[str, Callable[[], ScanCase]]:
-    """What reads each scan of the suite; drawn lines have none."""
-    from functools import partial
-
-    from lscan.benchmark.suiterun import DRAWN
-    from lscan.suites import find_suite, open_suite
-
-    if suite == DRAWN:
-        return {}
-    opened = open_suite(find_suite(suite))
-    return {name: partial(opened.scan, name) for name in opened.content.scans}
-
-
-def _same(case: SuiteCase) -> SuiteCase:
-    return case
-
-
 def _case_in_words(item: pytest.Item, case: SuiteCase | BoardCase | ScanCase) -> str:
     """Its values on the axes, where its picture is now, and what to type to look at a line."""
     from lscan.files.pictures import write_picture
@@ -301,7 +244,3 @@ def _case_in_words(item: pytest.Item, case: SuiteCase | BoardCase | ScanCase) ->
     write_picture(picture, case.picture)
     look = "" if hasattr(case, "marks") else f"\nlscan extract {picture}"
     return f"{axes}\npicture: {picture}{look}"
-
-
-def _command(one: JudgedExtractor, suite: str, baseline: Path) -> str:
-    return f"lscan bench {one.asked or one.extractor} --suite {suite} --only --against {baseline}"

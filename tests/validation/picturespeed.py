@@ -12,7 +12,7 @@ import numpy as np
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import open_devices, scan
 from lscan.acquisition.writer import PNG
-from lscan.benchmark.methods import timed
+from lscan.benchmark.methods import time_call
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import RigFile
 from lscan.files.pictures import encoded
@@ -112,9 +112,9 @@ def stage_seconds(tanks: Sequence[tuple[Tank, int]], pictures: int) -> Floats:
         for k, ((tank, orders), webcam) in enumerate(zip(tanks, webcams, strict=True)):
             rig = tank.scene.rig
             place_mm, exposure_ms = picture * rig.plan.step_mm, rig.camera.exposure_ms
-            render_s, layers = timed(partial(tank.render, place_mm, scatter_samples=orders))
-            sensor_s, image = timed(partial(webcam.expose, layers, exposure_ms, generator))
-            png_s, _ = timed(partial(encoded, image, ".png", PNG))
+            render_s, layers = time_call(partial(tank.render, place_mm, scatter_samples=orders))
+            sensor_s, image = time_call(partial(webcam.expose, layers, exposure_ms, generator))
+            png_s, _ = time_call(partial(encoded, image, ".png", PNG))
             seconds[k, picture] = render_s, sensor_s, png_s
     return seconds[:, 1:]
 
@@ -171,13 +171,13 @@ def extractor_time(run: Run, plane_map: PlaneMap, extractor: str, bar: float, re
 
     def measured(group: int) -> tuple[float, float]:
         chosen = [(group * size + k) % len(run) for k in range(size)]
-        decoding, frames = timed(lambda: [run.frame(index) for index in chosen])
+        decoding, frames = time_call(lambda: [run.frame(index) for index in chosen])
 
         def profiles() -> list[Profile]:
             stripes = extract_stripes(((frame.image, None) for frame in frames), settings)
             return to_profiles(stripes, plane_map, [frame.position_mm for frame in frames])
 
-        return decoding / size, timed(profiles)[0] / size
+        return decoding / size, time_call(profiles)[0] / size
 
     measured(0)
     decoding, finding = 1e3 * np.median([measured(group) for group in range(repeats)], axis=0)
@@ -200,8 +200,8 @@ def reconstruct_time(run: Run, plane_map: PlaneMap) -> Row:
     run : Run, of the pictures
     plane_map : PlaneMap, of the rig's camera
     """
-    decoding, _ = timed(lambda: [frame.index for frame in run.frames()])
-    building, _ = timed(partial(reconstruct, run, plane_map))
+    decoding, _ = time_call(lambda: [frame.index for frame in run.frames()])
+    building, _ = time_call(partial(reconstruct, run, plane_map))
     return row(
         "reconstruct-time",
         building / decoding,

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.acquisition.scan import scan
-from lscan.benchmark.methods import median_seconds, timed
+from lscan.benchmark.methods import median_seconds, time_call
 from lscan.config.rig import RigFile, StripeSection, load_rig
 from lscan.paper.experiment import METHODS, measure_board
 from lscan.records import Floats, Mask
@@ -213,7 +213,10 @@ def _gains(
     costs: dict[str, list[list[float]]] = {name: [] for name in parts}
     for run in range(effort.runs):
         seeds = range(1 + OURS_A_RUN * run, 1 + OURS_A_RUN * (run + 1))
-        pair = [timed(partial(_stack, ours, seeds)), timed(partial(_stack, theirs, [1 + run]))]
+        pair = [
+            time_call(partial(_stack, ours, seeds)),
+            time_call(partial(_stack, theirs, [1 + run])),
+        ]
         for name, part in parts.items():
             costs[name].append(
                 [_square(taken, truth, part) * seconds / len(taken) for seconds, taken in pair]
@@ -286,7 +289,7 @@ def map_times(board: RigFile, effort: SpeedEffort) -> list[Row]:
 def table_time(effort: SpeedEffort) -> list[Row]:
     """Seconds that the tables of how a beam spreads take in a water of 5 NTU."""
     water = water_optics(Water(kind="tank", turbidity_ntu=5), WAVELENGTH_NM)
-    seconds, _ = timed(partial(make_spread, water, effort.photons, SEED))
+    seconds, _ = time_call(partial(make_spread, water, effort.photons, SEED))
     return [row("table", seconds, photons=effort.photons, seed=SEED)]
 
 

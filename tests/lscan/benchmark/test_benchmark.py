@@ -126,7 +126,7 @@ def test_the_noise_is_the_noise_declared() -> None:
 
 
 def test_a_known_error_is_attributed_correctly() -> None:
-    rows = bench_extractors([WRONG, "centroid-relative"], pictures=4, quick=True)
+    rows = list(bench_extractors([WRONG, "centroid-relative"], pictures=4, quick=True))
     ours = {row.case: row for row in rows if row.extractor == WRONG}
     theirs = {row.case: row for row in rows if row.extractor == "centroid-relative"}
     assert ours.keys() == theirs.keys() and len(ours) == 7
@@ -150,7 +150,7 @@ def test_the_bound_is_that_of_a_wide_line_in_additive_noise() -> None:
 
 def test_the_seed_fixes_the_rows() -> None:
     def first(seed: int) -> ExtractorRow:
-        row = bench_extractors(["max"], seed=seed, pictures=1, quick=True)[0]
+        row = next(bench_extractors(["max"], seed=seed, pictures=1, quick=True))
         return replace(row, us_a_frame=0.0)
 
     assert first(3) == first(3) != first(4)
@@ -158,9 +158,9 @@ def test_the_seed_fixes_the_rows() -> None:
 
 def test_unknown_names_are_refused() -> None:
     with pytest.raises(InputError, match="no such"):
-        bench_extractors(["median"])
+        next(bench_extractors(["median"]))
     with pytest.raises(InputError, match="no such"):
-        bench_maps(["globe"])
+        next(bench_maps(["globe"]))
 
 
 @pytest.mark.parametrize("board", BOARDS)
@@ -175,7 +175,8 @@ def test_a_board_is_seen_whole_and_its_noise_is_the_noise_asked_for(board: str) 
 
 
 def test_maps_are_judged_by_the_truth() -> None:
-    rows = bench_maps(["polynomial-1", "polynomial-5", "polynomial-9"], draws=2, quick=True)
+    names = ["polynomial-1", "polynomial-5", "polynomial-9"]
+    rows = list(bench_maps(names, draws=2, quick=True))
     exact = {row.plane_map: row for row in rows if row.noise_px == 0}
     # docs/explanation/physics.md, section 9: polynomials of order 5 leave 0.0022 mm on such
     # a view.
@@ -188,8 +189,8 @@ def test_maps_are_judged_by_the_truth() -> None:
 
 
 def test_table_and_picture_are_written(tmp_path: Path) -> None:
-    extractors = bench_extractors(["max"], pictures=1, quick=True)
-    maps = bench_maps(["polynomial-2"], draws=1, quick=True)
+    extractors = list(bench_extractors(["max"], pictures=1, quick=True))
+    maps = list(bench_maps(["polynomial-2"], draws=1, quick=True))
     nan = float("nan")
     blind = replace(extractors[0], extractor="blind", bias_px=nan, scatter_px=nan, worst_z=nan)
     refused = replace(maps[0], plane_map="shy", rms_mm=nan, max_mm=nan, refused="too few dots")
@@ -335,7 +336,7 @@ def test_a_map_of_no_use_fails(
 
 
 def test_a_map_refused_fails_on_the_papers_board_alone() -> None:
-    row = bench_maps(["polynomial-5"], draws=1, quick=True)[0]
+    row = next(bench_maps(["polynomial-5"], draws=1, quick=True))
     refused = replace(row, refused="too few dots", covered=0.0)
     assert failed_of_map(row) == []
     assert failed_of_map(refused) == ["refused"]

@@ -10,7 +10,7 @@ from command_line import call, refused
 
 from lscan.benchmark.drawn import OPTICS, reading_of
 from lscan.benchmark.judging import judge_map, judge_reader
-from lscan.benchmark.suiterun import run_boards, suite_rows
+from lscan.benchmark.suiterun import run_suite, suite_rows
 from lscan.calibration.planemap import find_solver
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Status
@@ -80,9 +80,9 @@ def test_a_reader_is_said_to_be_what_it_is(suite):
     """36 dots of 12 boards have 864 coordinates at most: their rms is known to 1 / sqrt(2 x 864),
     of which four are allowed for, their mean to its rms over sqrt(864)."""
     readers = (exact_reader, off_reader, next_reader, blind_reader)
-    run = run_boards(str(suite), [_named(reader) for reader in readers], [])
+    run = run_suite(str(suite), {"reader": [_named(reader) for reader in readers]})
     exact, off, wrong, blind = suite_rows(run, ())
-    clear = sum(of.clear for of in run.judged[0].sums.values())
+    clear = sum(of.clear for of in run.sums[_named(exact_reader)].values())
     assert clear >= 600
     assert exact.scatter_px == pytest.approx(NOISE_PX, rel=4 / (2 * clear) ** 0.5)
     assert abs(exact.bias_px) < 4 * NOISE_PX / clear**0.5
@@ -95,6 +95,19 @@ def test_a_reader_is_said_to_be_what_it_is(suite):
     assert np.isnan(blind.wrong)
     by_water = suite_rows(run, ["water"])
     assert {row.group["water"]: row.cases for row in by_water} == {"tap": 6, "harbor": 6}
+
+
+def test_several_processes_judge_boards_as_one_does(suite, monkeypatch):
+    methods = {"reader": [_named(exact_reader), _named(blind_reader)], "map": ["polynomial-3"]}
+    alone = run_suite(str(suite), methods)
+    monkeypatch.setattr("lscan.benchmark.suiterun.LEAST_SHARED", 1)
+    monkeypatch.setattr("lscan.benchmark.suiterun.AT_ONCE", 8)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
+    shared = run_suite(str(suite), methods)
+    assert [*alone.sums] == [*shared.sums] == [*methods["reader"], *methods["map"]]
+    for name, sums in alone.sums.items():
+        for case, of in sums.items():
+            assert replace(of, seconds=0.0) == replace(shared.sums[name][case], seconds=0.0)
 
 
 def test_a_mark_that_is_not_to_be_seen_is_a_ghost():
@@ -134,16 +147,16 @@ def test_what_a_map_has_no_reading_of_is_missed():
 
 def test_a_reader_that_fails_or_gives_other_marks_is_named(suite):
     with pytest.raises(InputError, match=r"broken_reader failed: ZeroDivisionError: by zero"):
-        run_boards(str(suite), [_named(broken_reader)], [])
+        run_suite(str(suite), {"reader": [_named(broken_reader)]})
     with pytest.raises(InputError, match=r"few_reader gave another number of marks.*35.*36"):
-        run_boards(str(suite), [_named(few_reader)], [])
+        run_suite(str(suite), {"reader": [_named(few_reader)]})
     with pytest.raises(InputError, match="no such reader of control points"):
-        run_boards(str(suite), ["nobodys"], [])
+        run_suite(str(suite), {"reader": ["nobodys"]})
     with pytest.raises(InputError, match="no pictures of the board"):
         folder = suite.parent / "lines"
         folder.mkdir()
         suite_cases.drawn_suite(folder)
-        run_boards(str(folder), [_named(exact_reader)], [])
+        run_suite(str(folder), {"reader": [_named(exact_reader)]})
 
 
 def test_the_command_judges_boards_and_notices_a_change(suite, tmp_path, capsys):

@@ -106,11 +106,11 @@ def suite(tmp_path_factory):
 @pytest.fixture(scope="module")
 def saved(suite, tmp_path_factory):
     """A run of BASE under every mutant's name, as if each had been so."""
-    run = run_suite(str(suite), [BASE])
-    mutants = [replace(run.judged[0], extractor=_named(name)) for name in (*MUTANTS, "same")]
+    run = run_suite(str(suite), {"extractor": [BASE]})
+    mutants = {_named(name): run.sums[BASE] for name in (*MUTANTS, "same")}
     folder = tmp_path_factory.mktemp("saved")
     # Without the pictures of the worst columns, each of which takes a second to draw.
-    content = saved_run(replace(run, judged=[*run.judged, *mutants]))
+    content = saved_run(replace(run, sums={**run.sums, **mutants}))
     write_json(folder / "bench.json", content)
     return folder / "bench.json"
 
@@ -145,7 +145,7 @@ def test_an_extractor_that_leaves_the_picture_is_refused_with_the_case():
 
 
 def test_a_bias_of_half_a_pixel_is_said(suite):
-    run = run_suite(str(suite), [BASE, _named("half_off")])
+    run = run_suite(str(suite), {"extractor": [BASE, _named("half_off")]})
     right, wrong = suite_rows(run, ())
     assert wrong.bias_px - right.bias_px == pytest.approx(0.5, abs=1e-6)
     assert wrong.scatter_px == pytest.approx(right.scatter_px, rel=1e-6)
@@ -158,12 +158,12 @@ def test_a_bias_of_half_a_pixel_is_said(suite):
 
 @pytest.mark.parametrize("mutant", MUTANTS)
 def test_a_mutation_is_noticed(suite, saved, mutant):
-    worse = compare_saved(run_suite(str(suite), [_named(mutant)]), saved)
+    worse = compare_saved(run_suite(str(suite), {"extractor": [_named(mutant)]}), saved)
     assert MUTANTS[mutant] in {one.figure for one in worse if one.worse}, worse
 
 
 def test_what_has_not_changed_differs_in_nothing(suite, saved):
-    assert compare_saved(run_suite(str(suite), [_named("same")]), saved) == []
+    assert compare_saved(run_suite(str(suite), {"extractor": [_named("same")]}), saved) == []
 
 
 @pytest.mark.slow
@@ -318,22 +318,26 @@ def test_the_command_refuses_what_does_not_fit(suite, tmp_path, capsys):
 def test_several_processes_judge_as_one_does(suite, monkeypatch):
     """All but the seconds."""
     names = [BASE, "max"]
-    alone = run_suite(str(suite), names)
+    alone = run_suite(str(suite), {"extractor": names})
     monkeypatch.setattr(suiterun, "LEAST_SHARED", 1)
     monkeypatch.setattr("lscan.benchmark.suiterun.AT_ONCE", 10)
     monkeypatch.setattr("os.cpu_count", lambda: 2)
     shown = []
-    shared = run_suite(str(suite), names, progress=lambda done, total: shown.append((done, total)))
-    for one, other in zip(alone.judged, shared.judged, strict=True):
-        assert one.sums.keys() == other.sums.keys()
-        for case, sums in one.sums.items():
-            assert replace(sums, seconds=0.0) == replace(other.sums[case], seconds=0.0)
-        assert [worst.case for worst in one.worst] == [worst.case for worst in other.worst]
-    assert shown == [(10, 18), (18, 18)]
+    methods = {"extractor": names}
+    shared = run_suite(str(suite), methods, progress=lambda *done: shown.append(done))
+    assert [*alone.sums] == [*shared.sums] == names
+    for name in names:
+        one, other = alone.sums[name], shared.sums[name]
+        assert one.keys() == other.keys()
+        for case, sums in one.items():
+            assert replace(sums, seconds=0.0) == replace(other[case], seconds=0.0)
+        of_both = zip(alone.worst[name], shared.worst[name], strict=True)
+        assert all(worst.case == again.case for worst, again in of_both)
+    assert shown == [(done, 18) for done in range(1, 19)]
 
 
 def test_drawn_lines_are_a_suite(tmp_path):
-    run = run_suite("drawn", ["centroid-relative"])
+    run = run_suite("drawn", {"extractor": ["centroid-relative"]})
     content = write_suite_run(tmp_path, run, ["water"])
     assert {row["group"]["water"] for row in content["rows"]} == {
         "tap",
@@ -349,6 +353,6 @@ def test_drawn_lines_are_a_suite(tmp_path):
     }
     write_json(tmp_path / "before.json", content)
     assert compare_saved(run, tmp_path / "before.json") == []
-    again = run_suite("drawn", ["centroid-relative"], seed=2)
+    again = run_suite("drawn", {"extractor": ["centroid-relative"]}, seed=2)
     with pytest.raises(InputError, match="is of another suite"):
         compare_saved(again, tmp_path / "bench.json")

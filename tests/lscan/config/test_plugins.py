@@ -141,7 +141,7 @@ def test_a_broken_plugin_breaks_no_other_command(
     suite = tmp_path / "suite"
     suite.mkdir()
     suite_cases.drawn_suite(suite, count=1)
-    assert len(run_suite(str(suite), ["max"]).judged) == 1
+    assert len(run_suite(str(suite), {"extractor": ["max"]}).sums) == 1
     for command in (("suite", "verify", suite), ("suite", "list"), ("devices",)):
         code, _, err = call(capsys, *command)
         assert code == 0, err

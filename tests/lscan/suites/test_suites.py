@@ -5,6 +5,7 @@ import hashlib
 import json
 import shutil
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from lscan.files.pictures import encoded
 from lscan.suites import LightLayers, open_suite, pack_suite, suites_found, verify_suite
 from lscan.suites.content import (
     LEAST_DN,
+    LINE_TRUTH,
     MANIFEST,
     STEPS,
     layers_of_picture,
@@ -27,8 +29,7 @@ from lscan.suites.content import (
     manifest_bytes,
     member_sum,
     read_manifest,
-    read_truth,
-    truth_bytes,
+    read_table,
 )
 from lscan.suites.files import write_suite_wheel
 
@@ -134,6 +135,7 @@ def test_a_board_is_read_as_it_was_written(boards):
     ("member", "content", "said"),
     [
         ("map.csv", b"u_px,v_px\n", "no table of u_px, v_px, x_mm, z_mm"),
+        ("map.csv", b"u_px,v_px,x_mm,z_mm\n", "no table of a map"),
         ("map.csv", b"u_px,v_px,x_mm,z_mm\n1,1,nan,1\n", "no table of a map"),
         ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n", "differ in marks"),
         ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n1,1,nan,1,0\n", "no table of marks"),
@@ -314,7 +316,7 @@ def test_a_compressed_archive_is_refused(folder, tmp_path):
 @settings(max_examples=50, deadline=None)
 @given(st.binary(max_size=200))
 def test_what_is_no_manifest_and_no_truth_is_refused(data):
-    for read in (read_manifest, read_truth):
+    for read in (read_manifest, partial(read_table, LINE_TRUTH)):
         with pytest.raises(InputError):
             read(data, "here")
 
@@ -323,9 +325,9 @@ def test_what_is_no_manifest_and_no_truth_is_refused(data):
     "row", ["nan,1,1,1,0,0", "1,1,1,1,0,99", "1,1,1,1,2,0", "1,1,1,1,nan,0", "1,1,1,1,0,1e99"]
 )
 def test_impossible_truth_is_refused(row):
-    head = truth_bytes(suite_cases.drawn_case(0).truth).split(b"\n")[0]
+    data = f"{LINE_TRUTH.columns}\n{row}\n".encode()
     with pytest.raises(InputError, match="no table of a line's truth"):
-        read_truth(head + b"\n" + row.encode() + b"\n", "here")
+        read_table(LINE_TRUTH, data, "here")
 
 
 def test_suites_are_found_in_the_cache(archive, tmp_path, monkeypatch, capsys):

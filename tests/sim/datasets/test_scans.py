@@ -8,7 +8,7 @@ import pytest
 from command_line import call, refused
 
 from lscan.benchmark.judging import judge_chain, load_chain
-from lscan.benchmark.suiterun import run_chains, suite_rows
+from lscan.benchmark.suiterun import run_suite, suite_rows
 from lscan.errors import InputError
 from lscan.records import Status
 from lscan.stripe import find_extractor
@@ -100,7 +100,7 @@ def test_an_exact_chain_is_exact_and_a_wrong_one_is_not(suite, chain_file):
     """The best chain is within 0.1 mm rms; the paper's moved by two pixels is off by twice what a
     pixel is on the sheet there, about 1.1 mm along z at this angle, and says so of every point."""
     moved = chain_file({"extractor": f'"{__name__}:off_by_two"'})
-    run = run_chains(str(suite), ["best/groove", "paper/rig", moved])
+    run = run_suite(str(suite), {"chain": ["best/groove", "paper/rig", moved]})
     rows = {row.extractor: row for row in suite_rows(run, ())}
     best, paper, wrong = (rows[f"{name}: points"] for name in ("best/groove", "paper/rig", moved))
     assert best.found > 0.99
@@ -142,13 +142,13 @@ def test_what_a_chain_cannot_do_is_missed(suite, chain_file):
 def test_a_chain_that_is_none_is_refused(suite, chain_file, tmp_path):
     (tmp_path / "none.toml").write_text("[plan]\nframes = 2\n")
     with pytest.raises(InputError, match=r"none\.toml: has no section of a chain"):
-        run_chains(str(suite), [str(tmp_path / "none.toml")])
+        run_suite(str(suite), {"chain": [str(tmp_path / "none.toml")]})
     with pytest.raises(InputError, match="no such stripe extractor"):
-        run_chains(str(suite), [chain_file({"extractor": '"nobodys"'})])
+        run_suite(str(suite), {"chain": [chain_file({"extractor": '"nobodys"'})]})
     with pytest.raises(InputError, match=r"chain\.toml.*threshold_dn"):
-        run_chains(str(suite), [chain_file({"threshold_dn": '"high"'})])
+        run_suite(str(suite), {"chain": [chain_file({"threshold_dn": '"high"'})]})
     with pytest.raises(InputError, match=r"broken.*ZeroDivisionError"):
-        run_chains(str(suite), [chain_file({"extractor": f'"{__name__}:broken"'})])
+        run_suite(str(suite), {"chain": [chain_file({"extractor": f'"{__name__}:broken"'})]})
 
 
 def test_the_command_judges_chains_and_notices_a_change(suite, chain_file, tmp_path, capsys):

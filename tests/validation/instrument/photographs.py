@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lscan.benchmark.methods import timed
+from lscan.benchmark.methods import time_call
 from lscan.board import read_board
 from lscan.board.chessboard import read_chessboard
 from lscan.calibration.maps.polynomial import box, terms
@@ -56,9 +56,9 @@ def dot_rows(path: Path, repeats: int) -> list[Row]:
     detector = cv2.SimpleBlobDetector.create()
     read_s, blobs_s = 0.0, 0.0
     for _ in range(repeats):
-        seconds, reading = timed(lambda: read_board(image, DOT_BOARD))
+        seconds, reading = time_call(lambda: read_board(image, DOT_BOARD))
         read_s += seconds
-        blobs_s += timed(lambda: detector.detect(grey))[0]
+        blobs_s += time_call(lambda: detector.detect(grey))[0]
     found = int(reading.grid.found.sum())
     errors = {order: held_out_rms_px(reading, order) for order in ORDERS}
     best = min(errors, key=lambda order: errors[order])

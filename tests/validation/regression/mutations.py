@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from lscan.benchmark.judging import CaseSums, JudgedExtractor, normal_score
-from lscan.benchmark.suiterun import Difference, differences, run_suite
+from lscan.benchmark.judging import CaseSums, normal_score
+from lscan.benchmark.suiterun import differences, run_suite
 from tests.validation.regression import mutants
 from tests.validation.rows import Row, row
 
@@ -57,21 +57,16 @@ def mutation_rows(suite: str) -> list[Row]:
     """
     names = {name: f"{mutants.__name__}:{name}" for name in mutants.MUTANTS}
     bases = sorted(set(mutants.MUTANTS.values()))
-    run = run_suite(suite, [*bases, *names.values()])
-    judged = {one.extractor: one for one in run.judged}
+    run = run_suite(suite, {"extractor": [*bases, *names.values()]})
     unnoticed = [
         name
         for name, base in mutants.MUTANTS.items()
-        if not any(one.worse for one in _changes(judged[names[name]], judged[base]))
+        if not any(one.worse for one in differences(name, run.sums[names[name]], run.sums[base]))
     ]
     told = f"not noticed: {', '.join(unnoticed)}" if unnoticed else "all are noticed"
     count = len(names) - len(unnoticed)
     words: dict[str, Any] = {"suite": suite, "cases": len(run.axes), "all": len(names)}
     return [row("regression-mutations", count, told=told, **words)]
-
-
-def _changes(now: JudgedExtractor, before: JudgedExtractor) -> list[Difference]:
-    return differences(now.extractor, now.sums, before.sums)
 
 
 def paired_rows(repeats: int) -> list[Row]:

@@ -19,7 +19,7 @@ import numpy as np
 import lscan
 from lscan.acquisition.run import MANIFEST, TABLE, Run
 from lscan.acquisition.scan import scan
-from lscan.benchmark.methods import timed
+from lscan.benchmark.methods import time_call
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.documents import Document, merge, write_toml
 from lscan.config.rig import Rig, RigFile, load_rig, parse_rig
@@ -195,7 +195,7 @@ def agreement_rows(scenes: Path, folder: Path, effort: HardwareEffort) -> list[R
     repeated = _fresh(_changed(rig_file, sensor={"seed": seed + 1}), folder / "repeated")
     options = ServeOptions(prepare=True)
     with EmulatedHardware(scene, options) as hardware:
-        seconds, served = timed(lambda: _fresh(hardware.rig_file(), folder / "served"))
+        seconds, served = time_call(lambda: _fresh(hardware.rig_file(), folder / "served"))
     built = reconstruct(simulated, plane_map)
     alignment = built.require_alignment() if effort.aligned else None
     surfaces = {
