@@ -177,7 +177,7 @@ def test_the_command_judges_boards_and_notices_a_change(suite, tmp_path, capsys)
     assert "by water" in out
     refused(call(capsys, "bench", "--suite", suite, "--reader", mine), "--boards")
     refused(call(capsys, "bench", "--boards", "--reader", mine), "--suite")
-    refused(call(capsys, "bench", "max", "--suite", suite, "--boards"), "readers and maps")
+    refused(call(capsys, "bench", "max", "--suite", suite, "--boards"), "needs the boards")
 
 
 def test_optics_are_what_the_owner_knows():
