@@ -254,6 +254,11 @@ def _modelled(samples: StepSamples, state: _StepState, used: Ints, t: Floats) ->
     by_t = density * (1 - wall * t) / share / width
     by_place = (by_t[:, None] * samples.by_place[:, :, used]).sum(axis=0)
     by_width, by_wall = -(by_t * t).sum(axis=0), (density / share).sum(axis=0)
+    # Numbers of each stretch's places, width and wall among all unknowns, -1 for none, and of its
+    # brightness, which comes after them.
+    sizes = np.cumsum([len(state.place), len(state.width), len(state.wall)])
+    walls = np.where(samples.wall < 0, -1, sizes[1] + samples.wall)
+    last = np.full(len(walls), sizes[2])
     return _StepModel(
         begin=np.searchsorted(stretch, np.arange(len(samples.group) + 1)),
         stretch=stretch,
@@ -261,7 +266,7 @@ def _modelled(samples: StepSamples, state: _StepState, used: Ints, t: Floats) ->
         total=share.prod(axis=0),
         brightness=samples.brightness[used],
         changes=np.vstack([by_place, by_width, by_wall]),
-        unknowns=_unknowns(samples, state),
+        unknowns=np.column_stack([samples.places, sizes[0] + samples.group, walls, last]),
     )
 
 
@@ -336,17 +341,6 @@ def _sums(rows: Floats, begin: Ints) -> Floats:
     """
     parts = (rows[:, first:last] for first, last in pairwise(begin))
     return np.array([part @ part.T for part in parts])
-
-
-def _unknowns(samples: StepSamples, state: _StepState) -> Ints:
-    """(S, A + 3) numbers of a stretch's places, width and wall among all unknowns, -1 for none.
-
-    The last is that of the brightness itself, which is numbered after them.
-    """
-    sizes = np.cumsum([len(state.place), len(state.width), len(state.wall)])
-    wall = np.where(samples.wall < 0, -1, sizes[1] + samples.wall)
-    last = np.full(len(wall), sizes[2])
-    return np.column_stack([samples.places, sizes[0] + samples.group, wall, last])
 
 
 def _advanced(state: _StepState, step: Floats, scatter: float, limits: StepLimits) -> _StepState:

@@ -163,7 +163,10 @@ def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found 
     stripe, peaks = nominal_peaks([columns], settings)
     if len(peaks.columns) == 0:
         return stripe
-    noise = _first_noise(columns, peaks, settings)
+    if settings.noise is None:
+        noise = Noise(constant_variance(columns), 0.0)
+    else:
+        noise = stated_noise(settings.noise, float(np.median(peaks.base)))
     rough = _rough_width(columns, peaks, noise.constant)
     peaks = _recentred(columns, peaks, float(np.median(rough)))
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
@@ -174,7 +177,10 @@ def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found 
         aside = _aside(columns, peaks, rough)
         noise, known_from = Noise(constant_variance(aside), 0.0), aside[:, 2:].size
     view = _view(columns, lost, peaks, rough)
-    start, sample = _start(view, rough), _pairs(len(rough))
+    start, count = _start(view, rough), len(rough)
+    # About _SAMPLE columns, evenly, each with the next.
+    first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
+    sample = np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
     return _Found(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
 
 
@@ -226,12 +232,6 @@ def _survey(found: _Found, fit: LineFit, noise: Noise, misfit: float) -> Survey:
     return Survey(*known, ln_width, tilt, noise, misfit)
 
 
-def _first_noise(columns: GreyValues, peaks: Peaks, settings: StripeSection) -> Noise:
-    if settings.noise is not None:
-        return stated_noise(settings.noise, float(np.median(peaks.base)))
-    return Noise(constant_variance(columns), 0.0)
-
-
 def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
     """Pixels more than six widths away from the line, one sampled column a row.
 
@@ -252,12 +252,6 @@ def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
 
 def _sample(count: int) -> Ints:
     return np.arange(0, count, -(-count // _SAMPLE))
-
-
-def _pairs(count: int) -> Ints:
-    """About _SAMPLE of ``count`` columns, evenly, each with the next."""
-    first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
-    return np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
 
 
 def _rough_width(columns: GreyValues, peaks: Peaks, constant: float) -> Floats:

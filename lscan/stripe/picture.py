@@ -261,7 +261,9 @@ def is_coded(grey: GreyValues) -> bool:
     >>> is_coded(np.random.default_rng(1).integers(0, 9, (640, 480)))
     False
     """
-    steps = _steps(grey)
+    every = grey[:, ::2]
+    every = every.astype(np.int16) if np.issubdtype(every.dtype, np.integer) else every
+    steps: Floats = np.minimum(np.abs(np.diff(every, axis=0)), _MOST_DN).mean(axis=1)
     blocks = len(steps) // _BLOCK
     if blocks < _FEWEST_BLOCKS:
         return False
@@ -275,14 +277,6 @@ def is_coded(grey: GreyValues) -> bool:
     return bool(
         share > chance + _BEYOND_CHANCE * doubt and means[bound] > _STANDS_OUT * means[others]
     )
-
-
-def _steps(grey: GreyValues) -> Floats:
-    """(N - 1,) mean sizes of the steps to the next entry, in every second pixel of each."""
-    seen = grey[:, ::2]
-    seen = seen.astype(np.int16) if np.issubdtype(seen.dtype, np.integer) else seen
-    mean: Floats = np.minimum(np.abs(np.diff(seen, axis=0)), _MOST_DN).mean(axis=1)
-    return mean
 
 
 # A picture laid out for stripe extraction: one row in memory for each entry of the stripe.
@@ -374,7 +368,8 @@ def clipping_level(lines: Bytes) -> int:
         stripe
     """
     highest = lines.max(axis=1)
-    least = _within_highest(highest, lines.size)
+    stray = int(_STRAY * lines.size)  # pixels that say nothing of the range's end
+    least = 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
     if least >= _NEAR_END_DN:
         return CLIPPED_DN
     # Values farther down than the plateau and its surroundings do not count.
@@ -387,20 +382,9 @@ def clipping_level(lines: Bytes) -> int:
         return CLIPPED_DN
     mode = top - _SPREAD_DN + int(count[top - _SPREAD_DN : top + 1].argmax())
     piled = count[mode - 1 : mode + 2].sum() > _PILED * count[mode - 6 : mode - 2].sum()
-    if piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode)):
-        return _foot(count, mode)
-    return CLIPPED_DN
-
-
-def _within_highest(highest: Bytes, pixels: int) -> int:
-    """A grey value that more than _STRAY of the pixels reach, by the highest of each line."""
-    stray = int(_STRAY * pixels)
-    return 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
-
-
-def _foot(count: Ints, mode: int) -> int:
-    """The lowest value of the plateau: down to where a tenth of its pixels are left."""
-    level = mode
+    if not (piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode))):
+        return CLIPPED_DN
+    level = mode  # the plateau goes down to where a tenth of its pixels are left
     while level > mode - _SPREAD_DN // 2 and 10 * count[level - 1] >= count[mode]:
         level -= 1
     return level

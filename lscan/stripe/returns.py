@@ -197,7 +197,11 @@ def _best_path(spots: Spots, free: Ints, unit: float, count: int) -> Ints:
     """
     free = free[brightest(spots.column[free], spots.peak[free], _MOST_RIVALS)]
     gain = np.sqrt(np.minimum(spots.peak[free] / unit, 1.0)) - _ENOUGH
-    table = _by_column(spots.column[free], count)
+    column = spots.column[free]
+    rank = np.arange(len(column)) - np.searchsorted(column, column)
+    # Indices of the spots of each column, -1 where there are fewer than the most.
+    table = np.full((count + GAP, int(rank.max()) + 1), -1)
+    table[column + GAP, rank] = np.arange(len(column))
     rows = spots.middle[free][table]
     gains = np.where(table >= 0, gain[table], -np.inf)
     score, back = np.full(table.shape, -np.inf), np.full(table.shape, -1)
@@ -244,14 +248,6 @@ def _pieces(spots: Spots, path: Ints, width_px: float) -> tuple[Ints, Ints]:
     piece = np.append(0, np.cumsum(jumps))[: len(path)]
     whole = np.bincount(piece)[piece] >= _SHORTEST
     return path[whole], piece[whole]
-
-
-def _by_column(column: Ints, count: int) -> Ints:
-    """(GAP + W, M) indices of the spots of each column, -1 where there are fewer than M."""
-    rank = np.arange(len(column)) - np.searchsorted(column, column)
-    table = np.full((count + GAP, int(rank.max()) + 1), -1)
-    table[column + GAP, rank] = np.arange(len(column))
-    return table
 
 
 def flattened(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tuple[Floats, Mask]:

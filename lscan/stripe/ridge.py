@@ -17,7 +17,7 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import on_integers
 from lscan.stripe.peaks import crests, line_width, medians, pieces, windows
-from lscan.stripe.picture import Noise, line_noise, stated_noise
+from lscan.stripe.picture import line_noise, stated_noise
 
 _REACH = 4  # standard deviations at which the Gaussian kernels end
 _FINEST_PX = 1.0  # a Gaussian less wide lets the pixels' raster through
@@ -72,11 +72,16 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     crest = crests(columns)[lit]
     width = line_width(columns, lit, crest)
     scale = max(width, _FINEST_PX)
-    rows = _band(crest, scale)
+    room = 2 * int(np.ceil(_REACH * scale)) + 4  # for the kernels beyond the line
+    rows = slice(max(int(crest.min()) - room, 0), int(crest.max()) + room + 1)
     reach = int(np.ceil(2 * width))
     at_crest = windows(columns, lit, crest, reach) - base[lit, None]
     light = columns[:, rows] - base[:, None]
-    variance = _noise(columns, at_crest, lit, settings).variance(light)
+    if settings.noise is None:
+        noise = line_noise(columns, at_crest, lit)
+    else:
+        noise = stated_noise(settings.noise, float(medians(columns.reshape(1, -1))[0]))
+    variance = noise.variance(light)
     smoothed = _both_ways(light, variance, scale)
     _place(stripe, smoothed, _crest(smoothed, light, lit, settings.threshold_dn), lit)
     ends = _near_ends(stripe, lit, scale)
@@ -84,7 +89,10 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
         alone = _along_columns(light, variance, scale)
         _place(stripe, alone, _crest(alone, light, ends, settings.threshold_dn), ends)
     stripe.centre_px[:] += rows.start
-    _mark_border(stripe, lit, columns.shape[1], max(settings.span_px, int(np.ceil(2 * width))))
+    row, border_px = np.rint(stripe.centre_px[lit]), max(settings.span_px, reach)
+    cut = lit[(row < border_px) | (row >= columns.shape[1] - border_px)]
+    stripe.status[cut] = Status.AT_BORDER
+    stripe.centre_px[cut] = stripe.sigma_px[cut] = np.nan
     return stripe
 
 
@@ -149,25 +157,6 @@ def _filtered(picture: Floats, along: Floats, across: Floats) -> Floats:
     return np.asarray(cv2.sepFilter2D(picture, cv2.CV_64F, across, along, borderType=border), float)
 
 
-def _noise(columns: GreyValues, light: Floats, lit: Ints, settings: StripeSection) -> Noise:
-    """The noise that the settings state, or else that of the picture, (W, H) in DN.
-
-    light: (K, n) DN above the background about the crest of each lit column.
-    """
-    if settings.noise is not None:
-        return stated_noise(settings.noise, float(medians(columns.reshape(1, -1))[0]))
-    return line_noise(columns, light, lit)
-
-
-def _band(crest: Ints, scale: float) -> slice:
-    """The rows that hold the line, with room for the kernels beyond it.
-
-    crest: (K,) row of the brightest pixel of each lit column.
-    """
-    room = 2 * int(np.ceil(_REACH * scale)) + 4
-    return slice(max(int(crest.min()) - room, 0), int(crest.max()) + room + 1)
-
-
 def _crest(smoothed: _Smoothed, light: Floats, lit: Ints, threshold_dn: float) -> Ints:
     """(K,) row where the picture bends most, across the line, in each lit column.
 
@@ -209,11 +198,3 @@ def _near_ends(stripe: Stripe, lit: Ints, scale: float) -> Ints:
     low = minimum_filter1d(label, size, mode="constant", cval=-1)  # nothing beyond the picture
     high = maximum_filter1d(label, size, mode="constant", cval=-1)
     return lit[(low != high)[lit]]
-
-
-def _mark_border(stripe: Stripe, lit: Ints, height: int, border_px: int) -> None:
-    """Take the value from the lit columns whose line is cut by the picture's edge."""
-    row = np.rint(stripe.centre_px[lit])
-    cut = lit[(row < border_px) | (row >= height - border_px)]
-    stripe.status[cut] = Status.AT_BORDER
-    stripe.centre_px[cut] = stripe.sigma_px[cut] = np.nan

@@ -127,7 +127,10 @@ def _mean(chosen: Mask) -> Floats:
 def _sigma(rule: Rule, seen: Survey, ground: _Ground, light: Floats, offset: Floats) -> Floats:
     """Standard uncertainty (K,) in px of the centres that ``rule`` put at ``offset``."""
     steps, width = seen.view.steps, seen.width_px
-    model = _ideal(steps, offset, width, light)
+    core = np.abs(steps) <= np.ceil(3 * width)[:, None]
+    flux = np.maximum((light * core).sum(axis=1), 1e-3)
+    level, height = np.zeros(len(offset)), flux / (np.sqrt(2 * np.pi) * width)
+    model = lines(parameters_of(offset, width, height, level, level), steps).light
     veil = ground.values(seen.view.grey) - seen.view.base[:, None]
     variance = seen.noise.variance(model, veil) + (seen.misfit * model) ** 2
     expected, derivative = rule(_lit(seen, ground.taken_off(model)))
@@ -137,15 +140,6 @@ def _sigma(rule: Rule, seen: Survey, ground: _Ground, light: Floats, offset: Flo
 
 def _lit(seen: Survey, light: Floats) -> LineLight:
     return LineLight(seen.view.steps, light, seen.view.clipped, seen.width_px, seen.noise)
-
-
-def _ideal(steps: Floats, offset: Floats, width: Floats, light: Floats) -> Floats:
-    """Noise-free lines (K, n) at ``offset`` with the width given and the light's flux."""
-    core = np.abs(steps) <= np.ceil(3 * width)[:, None]
-    flux = np.maximum((light * core).sum(axis=1), 1e-3)
-    level = np.zeros(len(offset))
-    height = flux / (np.sqrt(2 * np.pi) * width)
-    return lines(parameters_of(offset, width, height, level, level), steps).light
 
 
 # The stripe extractors of the paper: brightest pixel, centroid, centroid of relative values.
@@ -195,7 +189,10 @@ def _alike(
     wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
-    variance = _variance(columns, light, peaks.columns)
+    # Of each picture the noise of its own.
+    begin = np.searchsorted(peaks.columns, np.arange(1, len(columns)) * len(columns[0]))
+    each = zip(columns, np.split(light, begin), np.split(peaks.columns, begin), strict=True)
+    variance = np.concatenate([line_noise(one, seen, at).variance(seen) for one, seen, at in each])
     offset, slope = centring(window)
     variance_px = (slope**2 * variance).sum(axis=1)
     variance_px += _choice_variance(wide, offset, variance, centring)
@@ -206,13 +203,6 @@ def _alike(
     kept = np.abs(offset) <= settings.span_px
     found = centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
     return parted(found, len(pictures))
-
-
-def _variance(pictures: Sequence[GreyValues], light: Floats, at: Ints) -> Floats:
-    """Variance (K, n) in DN² of the light, by the noise of the picture that it was found in."""
-    begin = np.searchsorted(at, np.arange(1, len(pictures)) * len(pictures[0]))
-    known = zip(pictures, np.split(light, begin), np.split(at, begin), strict=True)
-    return np.concatenate([line_noise(one, seen, to).variance(seen) for one, seen, to in known])
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:
