@@ -167,7 +167,7 @@ def fit_steps(
         else:
             counts = weight * (t.min(axis=0) > FAINTEST)
         used = order[counts[order] > 0]
-        model = _modelled(samples, state, used, t[:, used])
+        model = _step_model(samples, state, used, t[:, used])
         if weight is None:
             # Outliers are told by a fit to all: told by one without them they would be its own.
             first = _solve(model, state, counts[used], limits.unmodelled, prior)
@@ -177,7 +177,7 @@ def fit_steps(
         # Steps that turn back overshoot: without shorter ones they go to and fro for ever.
         share = share / 2 if solution.step @ before < 0 else min(1.0, GROWS * share)
         before = solution.step
-        state = _advanced(state, share * solution.step, solution.scatter, limits)
+        state = _next_state(state, share * solution.step, solution.scatter, limits)
         if np.abs(solution.step[:size]).max() < SETTLED_MM:  # not its share: that can be small
             break
     return StepFit(state.place, solution.covariance[:size, :size], counts)
@@ -244,7 +244,7 @@ class _StepModel:
     unknowns: Ints
 
 
-def _modelled(samples: StepSamples, state: _StepState, used: Ints, t: Floats) -> _StepModel:
+def _step_model(samples: StepSamples, state: _StepState, used: Ints, t: Floats) -> _StepModel:
     """The model of the used samples, (n,) stretch by stretch; t: their depth in widths."""
     stretch = samples.stretch[used]
     width = state.width[samples.group[stretch]]
@@ -343,7 +343,7 @@ def _sums(rows: Floats, begin: Ints) -> Floats:
     return np.array([part @ part.T for part in parts])
 
 
-def _advanced(state: _StepState, step: Floats, scatter: float, limits: StepLimits) -> _StepState:
+def _next_state(state: _StepState, step: Floats, scatter: float, limits: StepLimits) -> _StepState:
     """The state after a bounded step; scatter: of the residuals before it."""
     sizes = [len(state.place), len(state.width), len(state.wall)]
     place, width, wall, _ = np.split(step, np.cumsum(sizes))

@@ -23,8 +23,21 @@ from lscan.stripe.fit import (
     parameters_of,
     scatter_of,
 )
-from lscan.stripe.peaks import Peaks, all_windows, centred, clipped_near, nominal_peaks, windows
-from lscan.stripe.picture import Noise, constant_variance, robust_variance, sampled, stated_noise
+from lscan.stripe.peaks import (
+    Peaks,
+    all_windows,
+    clipped_entries,
+    nominal_peaks,
+    stripe_from,
+    windows,
+)
+from lscan.stripe.picture import (
+    Noise,
+    constant_variance,
+    noise_columns,
+    robust_variance,
+    stated_noise,
+)
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
 #
@@ -124,17 +137,19 @@ def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
     ----------
     pictures : sequence of tuple, the arguments of :func:`survey` for each
     """
-    found = [_found(*picture) for picture in pictures]
-    noted = [one for one in found if isinstance(one, _Found)]
+    found = [_find_columns(*picture) for picture in pictures]
+    noted = [one for one in found if isinstance(one, _LineColumns)]
     known = {
-        stated: iter(_surveyed([one for one in noted if one.states_noise == stated]))
+        stated: iter(_surveys_by_sample([one for one in noted if one.states_noise == stated]))
         for stated in (False, True)
     }
-    return [next(known[one.states_noise]) if isinstance(one, _Found) else one for one in found]
+    return [
+        next(known[one.states_noise]) if isinstance(one, _LineColumns) else one for one in found
+    ]
 
 
 @dataclass(frozen=True)
-class _Found:
+class _LineColumns:
     """What is known of the K columns with a line before any line is fitted.
 
     As in :class:`Survey`; width_px: (K,) the rough width.  known_from: second differences that
@@ -157,7 +172,9 @@ class _Found:
         return self.settings.noise is not None
 
 
-def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found | Stripe:
+def _find_columns(
+    image: GreyValues, settings: StripeSection, clipped: Mask
+) -> _LineColumns | Stripe:
     """The columns with a line, or the stripe itself where there are none."""
     columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
     stripe, peaks = nominal_peaks([columns], settings)
@@ -168,7 +185,7 @@ def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found 
     else:
         noise = stated_noise(settings.noise, float(np.median(peaks.base)))
     rough = _rough_width(columns, peaks, noise.constant)
-    peaks = _recentred(columns, peaks, float(np.median(rough)))
+    peaks = _recentre(columns, peaks, float(np.median(rough)))
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:
         return stripe
@@ -181,10 +198,10 @@ def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found 
     # About _SAMPLE columns, evenly, each with the next.
     first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
     sample = np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
-    return _Found(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
+    return _LineColumns(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
 
 
-def _surveyed(found: Sequence[_Found]) -> list[Survey]:
+def _surveys_by_sample(found: Sequence[_LineColumns]) -> list[Survey]:
     """The surveys of pictures with a line, from the fits to a sample of it in each.
 
     The settings of all state the noise, or of none.  It is that found before where they do, else
@@ -197,7 +214,7 @@ def _surveyed(found: Sequence[_Found]) -> list[Survey]:
         search = LineSearch(one.view, one.start, one.noise, LinePrior(one.start, precision))
         searches.append(search.of(one.sample))
     places = [select(one.peaks, one.sample) for one in found]
-    fits, scatters = _fitted(searches, places)
+    fits, scatters = _fit_samples(searches, places)
     for _ in range(_NOISE_TURNS if found and not found[0].states_noise else 0):
         searches = [
             replace(
@@ -207,14 +224,14 @@ def _surveyed(found: Sequence[_Found]) -> list[Survey]:
             )
             for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
         ]
-        fits, scatters = _fitted(searches, places)
+        fits, scatters = _fit_samples(searches, places)
     return [
         _survey(one, fit, search.noise, scatter.misfit(search.noise))
         for one, fit, search, scatter in zip(found, fits, searches, scatters, strict=True)
     ]
 
 
-def _fitted(
+def _fit_samples(
     searches: Sequence[LineSearch], places: Sequence[Peaks]
 ) -> tuple[list[LineFit], list[Scatter]]:
     fits = fit_lines(searches) if searches else []
@@ -222,7 +239,7 @@ def _fitted(
     return fits, [scatter_of(fit, peaks.columns, peaks.rows) for fit, peaks in each]
 
 
-def _survey(found: _Found, fit: LineFit, noise: Noise, misfit: float) -> Survey:
+def _survey(found: _LineColumns, fit: LineFit, noise: Noise, misfit: float) -> Survey:
     """The survey, with what the ``fit`` of the sample says of all columns."""
     count, start = len(found.width_px), found.start.copy()
     ln_width, tilt = (_between(fit, which, found.sample, count) for which in (LN_WIDTH, TILT))
@@ -239,11 +256,11 @@ def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
     columns that have none.
     """
     sample = _sample(len(peaks.rows))
-    sample = sample[sampled(len(sample))]
+    sample = sample[noise_columns(len(sample))]
     height = columns.shape[1]
     reach = int(np.ceil(6 * np.median(width_px))) + 2
     if height - 2 * reach < 3:
-        return columns[sampled(len(columns))]
+        return columns[noise_columns(len(columns))]
     seen = columns[peaks.columns[sample]]
     around = all_windows(np.concatenate([seen, seen], axis=1), height - 2 * reach)
     aside: GreyValues = around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height]
@@ -283,7 +300,7 @@ def _above_ground(windows: Floats) -> Floats:
     return windows - left[:, None] - (right - left)[:, None] * rise
 
 
-def _recentred(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
+def _recentre(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
     """The peaks moved to the brightest pixel of the line smoothed with its own width.
 
     Noise and clipping move the brightest pixel about; this one stays near the centre.
@@ -392,7 +409,7 @@ def _several(pictures: Sequence[Picture]) -> list[Stripe]:
     crests = _crests(surveyed, searches, at)
     found = map(_stripe, surveyed, fits, crests)
     return [
-        _marked(next(found), *picture) if isinstance(one, Survey) else one
+        _mark_clipped(next(found), *picture) if isinstance(one, Survey) else one
         for one, picture in zip(seen, pictures, strict=True)
     ]
 
@@ -438,9 +455,11 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     return _several([(image, settings, clipped)])[0]
 
 
-def _marked(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+def _mark_clipped(
+    stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask
+) -> Stripe:
     """The stripe with its clipped columns SATURATED."""
-    saturated = clipped_near(stripe, clipped.T, settings.span_px)
+    saturated = clipped_entries(stripe, clipped.T, settings.span_px)
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
     status[saturated] = Status.SATURATED
     if settings.noise is None:
@@ -521,4 +540,4 @@ def _stripe(seen: Survey, fit: LineFit, crest: Floats) -> Stripe:
     doubt = np.where(np.isnan(crest), 0.0, crest - offset) ** 2 / 3  # a uniform distribution's
     sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit + doubt)
     kept = fit.settled & seen.is_near(offset, sigma)
-    return centred(seen.stripe, seen.peaks, offset, sigma, kept)
+    return stripe_from(seen.stripe, seen.peaks, offset, sigma, kept)

@@ -109,7 +109,7 @@ def constant_variance(columns: GreyValues) -> float:
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     """
-    sample = columns[sampled(len(columns))]
+    sample = columns[noise_columns(len(columns))]
     with np.errstate(invalid="ignore"):
         grey = sample.astype(np.int16)
     # Differences of bytes would overflow, those of single precision are rounded.
@@ -119,7 +119,7 @@ def constant_variance(columns: GreyValues) -> float:
     return max(robust_variance(differences, least) / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
 
 
-def sampled(count: int) -> slice:
+def noise_columns(count: int) -> slice:
     """The columns that the noise is estimated from: 64 to 127 of them, evenly; all of fewer.
 
     Parameters
@@ -511,7 +511,7 @@ def lines_of(
     check_picture(picture, where)
     if channel == "auto":
         channel = strongest_excess(picture, axis)
-    grey, brightest = _read(picture, channel, axis)
+    grey, brightest = _sensor_lines(picture, channel, axis)
     frame = frame_px(brightest)
     grey, brightest = without_frame(grey, frame), without_frame(brightest, frame)
     level = clipping_level(brightest) if clipping_dn is None else clipping_dn
@@ -539,7 +539,7 @@ def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
         return "grey"
     strongest, highest = _EXCESSES[0], 0.0
     for channel in _EXCESSES:
-        own, _ = _read(picture, channel, axis)
+        own, _ = _sensor_lines(picture, channel, axis)
         excess, _ = _excess(own, *_others(picture, channel, axis), clipping_level(own))
         if np.maximum(excess.max(axis=1), 0).mean() > highest:  # no peak is higher than its crest
             height = _heights(excess).mean()
@@ -613,7 +613,7 @@ def check_pair(image: Bytes, background: Bytes | None) -> None:
         raise InputError(what, where="background", value=background.shape, allowed=allowed)
 
 
-def _read(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
+def _sensor_lines(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
     """(N, L) grey values of a sensor's channel, and of the brightest colour that is part of it."""
     if picture.ndim == 2:
         grey = brightest = _across(picture, axis)
@@ -653,13 +653,13 @@ def _excess(own: Bytes, others: Bytes, least: Bytes, clipping_dn: int) -> tuple[
     # Twice as far as a crest reaches nothing beyond counts, and nothing beyond is changed.
     part = slice(max(at[0] - 2 * _CREST_PX, 0), at[-1] + 2 * _CREST_PX + 1)
     crest = np.zeros_like(bright)
-    excess[lines, part], crest[lines, part] = _raised(
+    excess[lines, part], crest[lines, part] = _raise_excess(
         excess[lines, part], others[lines, part], least[lines, part], bright[lines, part]
     )
     return excess, crest
 
 
-def _raised(
+def _raise_excess(
     excess: GreyValues, others: Bytes, least: Bytes, bright: Mask
 ) -> tuple[GreyValues, Mask]:
     """The same of a part of the lines, ``bright`` where a colour nears the end of its range."""

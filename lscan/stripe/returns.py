@@ -250,7 +250,7 @@ def _pieces(spots: Spots, path: Ints, width_px: float) -> tuple[Ints, Ints]:
     return path[whole], piece[whole]
 
 
-def flattened(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tuple[Floats, Mask]:
+def flatten(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tuple[Floats, Mask]:
     """(W, H) columns with their kept spots on an even ground, DN, and the spots' footprints.
 
     Within the footprint of a kept spot the ground is taken off, elsewhere all but the pixels'
@@ -372,8 +372,8 @@ def choose_return(
     rivals = np.count_nonzero(np.diff(spots.column) == 0)
     doubtful = white and rivals >= _RIVALS * count
     if doubtful or specked or is_textured(columns, crest, spots, run, settings):
-        return _in_texture(columns, spots, settings, clipped)
-    choice = _choose(spots, run, _isolated(spots, run), settings)
+        return _line_in_texture(columns, spots, settings, clipped)
+    choice = _choose(spots, run, _isolated_spots(spots, run), settings)
     if not choice.rejected.any():
         return OneReturn(image, crest, clipped, choice.ambiguous(count))
     at, lost = np.unique(spots.column[choice.rejected]), clipped.T.copy()
@@ -389,7 +389,7 @@ def choose_return(
     return OneReturn(painted.T, crest, lost.T, choice.ambiguous(count))
 
 
-def _in_texture(
+def _line_in_texture(
     columns: GreyValues, seen: Spots, settings: StripeSection, clipped: Mask
 ) -> OneReturn:
     """The same on a lit target: the line meant on an even ground in each column.
@@ -410,7 +410,7 @@ def _in_texture(
     even = np.ptp(relief_of(columns).ground, axis=1) <= threshold_dn / 2
     left = np.bincount(spots.column[kept], minlength=count)
     even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
-    flat, near = flattened(relief, spots, kept, threshold_dn)
+    flat, near = flatten(relief, spots, kept, threshold_dn)
     near |= even[:, None]
     image = np.where(even[:, None], columns, flat)
     return OneReturn(
@@ -455,7 +455,7 @@ def _is_specked(spots: Spots, run: Ints) -> bool:
     return len(np.unique(spots.column[rival])) > _SPECKED * len(np.unique(spots.column))
 
 
-def _isolated(spots: Spots, run: Ints) -> Mask:
+def _isolated_spots(spots: Spots, run: Ints) -> Mask:
     """(K,) mask of the spots that are blobs by themselves: hot pixels, drifting particles.
 
     A run no longer than it is high in a picture with one that is ten times as long, unless it
@@ -496,7 +496,7 @@ def _choose(spots: Spots, run: Ints, rejected: Mask, settings: StripeSection) ->
     first, second = pairs(spots.column)
     there = ~rejected[first] & ~rejected[second]
     first, second = first[there], second[there]
-    faint, yielding = _rejected(spots, run, first, second, settings)
+    faint, yielding = _rejected_spots(spots, run, first, second, settings)
     rejected = rejected | faint | yielding
     unsure = np.zeros(len(run), dtype=bool)
     if settings.returns != "brightest":
@@ -545,7 +545,7 @@ def _nearness(spots: Spots, run: Ints, meant: Mask, other: Mask, first: bool) ->
     return ratio[order][begin + np.bincount(run) // 2]
 
 
-def _rejected(
+def _rejected_spots(
     spots: Spots, run: Ints, first: Ints, second: Ints, settings: StripeSection
 ) -> tuple[Mask, Mask]:
     """(K,) spots that are faint or specks beside another, and those that yield to the one meant.

@@ -118,27 +118,27 @@ def _both_ways(light: Floats, variance: Floats, scale: float) -> _Smoothed:
     variance: (W, H) of the pixels in DN², each pixel's noise its own.
     """
     g0, g1, g2 = _kernels(scale)
-    by_u, by_v = _filtered(light, g1, g0), _filtered(light, g0, g1)
-    uu, uv, vv = _filtered(light, g2, g0), _filtered(light, g1, g1), _filtered(light, g0, g2)
+    by_u, by_v = _convolve(light, g1, g0), _convolve(light, g0, g1)
+    uu, uv, vv = _convolve(light, g2, g0), _convolve(light, g1, g1), _convolve(light, g0, g2)
     bend = (uu + vv) / 2 - np.hypot((uu - vv) / 2, uv)
     # The eigenvector to the smaller eigenvalue is square to that to the larger one; its angle
     # lies between 0 and pi, so that ``across`` is never negative.
     angle = np.arctan2(2 * uv, uu - vv) / 2 + np.pi / 2
     along, across = np.cos(angle), np.sin(angle)
     slope = along * by_u + across * by_v
-    spread: Floats = along**2 * _filtered(variance, g1**2, g0**2)
-    spread += across**2 * _filtered(variance, g0**2, g1**2)
-    spread += 2 * along * across * _filtered(variance, g0 * g1, g0 * g1)
-    return _Smoothed(_filtered(light, g0, g0), slope, spread, bend, across)
+    spread: Floats = along**2 * _convolve(variance, g1**2, g0**2)
+    spread += across**2 * _convolve(variance, g0**2, g1**2)
+    spread += 2 * along * across * _convolve(variance, g0 * g1, g0 * g1)
+    return _Smoothed(_convolve(light, g0, g0), slope, spread, bend, across)
 
 
 def _along_columns(light: Floats, variance: Floats, scale: float) -> _Smoothed:
     """The same with each column smoothed by itself, the line taken to run square to it."""
     g0, g1, g2 = _kernels(scale)
     one = np.ones(1)
-    bend, across = _filtered(light, one, g2), np.ones_like(light)
-    spread = _filtered(variance, one, g1**2)
-    return _Smoothed(_filtered(light, one, g0), _filtered(light, one, g1), spread, bend, across)
+    bend, across = _convolve(light, one, g2), np.ones_like(light)
+    spread = _convolve(variance, one, g1**2)
+    return _Smoothed(_convolve(light, one, g0), _convolve(light, one, g1), spread, bend, across)
 
 
 def _kernels(scale: float) -> tuple[Floats, Floats, Floats]:
@@ -151,7 +151,7 @@ def _kernels(scale: float) -> tuple[Floats, Floats, Floats]:
     return smoothing, -np.diff(density), np.diff(-edges / scale**2 * density)
 
 
-def _filtered(picture: Floats, along: Floats, across: Floats) -> Floats:
+def _convolve(picture: Floats, along: Floats, across: Floats) -> Floats:
     """(W, H) of the picture filtered along u and along v; beyond its edges there is no light."""
     border = cv2.BORDER_CONSTANT
     return np.asarray(cv2.sepFilter2D(picture, cv2.CV_64F, across, along, borderType=border), float)

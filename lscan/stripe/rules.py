@@ -19,7 +19,13 @@ from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
 from lscan.stripe.api import Extractor, Picture, Several, on_integers, together
 from lscan.stripe.fit import LineWindows, lines, parameters_of
 from lscan.stripe.likelihood import Survey, survey
-from lscan.stripe.peaks import centred, in_one, nominal_peaks, parted, windows_beside
+from lscan.stripe.peaks import (
+    batch_by_kind,
+    nominal_peaks,
+    split_stripe,
+    stripe_from,
+    windows_beside,
+)
 from lscan.stripe.picture import Noise, line_noise
 
 
@@ -71,7 +77,7 @@ def extractor(rule: Rule) -> Extractor:
         offset, _ = rule(_lit(seen, light))
         sigma = _sigma(rule, seen, ground, light, np.nan_to_num(offset))
         kept = seen.is_near(offset, sigma)
-        return centred(seen.stripe, seen.peaks, offset, sigma, kept)
+        return stripe_from(seen.stripe, seen.peaks, offset, sigma, kept)
 
     del extract.__wrapped__  # its signature is an extractor's, not the rule's
     return on_integers(extract)
@@ -163,7 +169,7 @@ and the derivative (K, n) of that offset by each grey value, in px/DN."""
 def _by(centring: Centring, guesses_background: bool = False) -> Several:
     """The extractor of a rule, of pictures side by side where they are alike."""
     work = partial(_alike, centring=centring, guesses_background=guesses_background)
-    return partial(in_one, work, kind=lambda picture: (picture[1], picture[0].shape))
+    return partial(batch_by_kind, work, kind=lambda picture: (picture[1], picture[0].shape))
 
 
 def _alike(
@@ -184,7 +190,7 @@ def _alike(
     settings = pictures[0][1]
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
-        return parted(stripe, len(pictures))
+        return split_stripe(stripe, len(pictures))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
     wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
@@ -201,8 +207,8 @@ def _alike(
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
-    found = centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
-    return parted(found, len(pictures))
+    found = stripe_from(stripe, peaks, offset, np.sqrt(variance_px), kept)
+    return split_stripe(found, len(pictures))
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:
@@ -410,7 +416,7 @@ def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
     Blais and Rioux, Signal Processing 11, 145 (1986), who use orders 2 m of 2, 4 and 8.
     """
     taps = np.maximum(np.rint(2 * seen.width_px), 1).astype(int)
-    filtered = _filtered(seen.light, taps)
+    filtered = _tap_difference(seen.light, taps)
     rises = (filtered[:, :-1] < 0) & (filtered[:, 1:] >= 0)
     inside = np.abs(seen.steps[:-1] + 0.5) <= np.ceil(2 * seen.width_px)[:, None] + 1
     distance = np.where(rises & inside, np.abs(seen.steps[:-1] + 0.5), np.inf)
@@ -426,7 +432,7 @@ def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
     return seen.steps[at] + share, derivative
 
 
-def _filtered(light: Floats, taps: Ints) -> Floats:
+def _tap_difference(light: Floats, taps: Ints) -> Floats:
     """(K, n) sum of the ``taps`` (K,) pixels above each one less that of those below."""
     n = light.shape[1]
     total = np.concatenate([np.zeros((len(light), 1)), light.cumsum(axis=1)], axis=1)
