@@ -194,7 +194,7 @@ def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
     """
     points = np.concatenate([datum.tops, *(edge.inside for edge in datum.edges)])
     given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
-    noise, vectors = np.linalg.eigh(_noise(datum))
+    noise, vectors = np.linalg.eigh(_noise_covariance(datum))
     left = np.column_stack([_conditions(datum, modes), vectors * np.sqrt(np.maximum(noise, 0.0))])
     matrix = _conditions(datum, given)
     if datum.sheared:
@@ -237,14 +237,18 @@ def _conditions(datum: Datum, field: NDArray[np.floating]) -> Floats:
     """(7, C) the seven quantities of C displacements (P, 3, C) of the tops, then the edges."""
     count = len(datum.tops)
     plane = np.linalg.lstsq(_plane_design(datum), field[:count, 2], rcond=None)[0]
-    design = _edge_design(datum)
-    slope = np.repeat([edge.slope for edge in datum.edges], [len(e.index) for e in datum.edges])
+    counts = [len(edge.index) for edge in datum.edges]
+    which = np.repeat(np.arange(len(datum.edges)), counts)
+    y = np.concatenate([edge.inside[:, 1] for edge in datum.edges]) - datum.pivot[1]
+    # What the lean and each edge's place do to the crossings, as in edges.py.
+    design = np.column_stack([y, np.eye(len(datum.edges))[which]])
+    slope = np.repeat([edge.slope for edge in datum.edges], counts)
     across = field[count:, 0] - slope[:, None] * field[count:, 1]
     edges = np.linalg.lstsq(design, across, rcond=None)[0]
     return np.concatenate([plane, _from_edges(datum) @ edges])
 
 
-def _noise(datum: Datum) -> Floats:
+def _noise_covariance(datum: Datum) -> Floats:
     """(7, 7) covariance of the seven quantities from the points' own noise."""
     spread = np.linalg.pinv(_plane_design(datum)) * datum.top_sigma_mm
     edges = _from_edges(datum)
@@ -256,13 +260,6 @@ def _noise(datum: Datum) -> Floats:
 def _plane_design(datum: Datum) -> Floats:
     """(K, 3) of a plane through the tops."""
     return np.column_stack([np.ones(len(datum.tops)), (datum.tops - datum.pivot)[:, :2]])
-
-
-def _edge_design(datum: Datum) -> Floats:
-    """(K, E + 1) what the lean and each edge's place do to the crossings, as in edges.py."""
-    which = np.repeat(np.arange(len(datum.edges)), [len(edge.index) for edge in datum.edges])
-    y = np.concatenate([edge.inside[:, 1] for edge in datum.edges]) - datum.pivot[1]
-    return np.column_stack([y, np.eye(len(datum.edges))[which]])
 
 
 def _from_edges(datum: Datum) -> Floats:
@@ -534,7 +531,9 @@ class AlignmentFile(Strict):
 
     def alignment(self) -> Alignment:
         """As the program holds it."""
-        modes = np.hstack([self.by_calibration, _root(self.covariance)]) / IN_FILE[:, None]
+        modes = (
+            np.hstack([self.by_calibration, _covariance_root(self.covariance)]) / IN_FILE[:, None]
+        )
         return Alignment(
             yaw_rad=float(np.radians(self.yaw_deg)),
             yaw_sigma_rad=float(np.linalg.norm(modes[YAW])),
@@ -619,7 +618,7 @@ def _scales(covariance: Floats) -> Floats:
     return np.outer(sigma, sigma)
 
 
-def _root(covariance: Floats) -> Floats:
+def _covariance_root(covariance: Floats) -> Floats:
     """(P, P) matrix whose product with its transpose is the covariance; it may be singular."""
     scales = _scales(covariance)
     values, vectors = np.linalg.eigh(covariance / scales)
