@@ -217,8 +217,10 @@ def acquire_into(
     if writer.written == writer.planned:
         return writer.finish()
     writer.keep_camera(camera)
-    if not position_restored:
-        _check_place(writer, track, positions_mm)
+    # A scan that goes on must not put its frames at shifted places.
+    if not position_restored and writer.last_mm is not None and isinstance(track, PlaceChecking):
+        next_mm, zero = positions_mm[writer.written], writer.manifest.track_zero
+        track.check_place(writer.last_mm, next_mm, zero)
     with _keeping_zero(writer, track), _scan_laser(track, writer, longest_s) as laser:
         devices = _ScanDevices(writer.rig_file.rig.camera, camera, track, laser, plan.paired)
         while writer.written < writer.planned:
@@ -229,13 +231,6 @@ def acquire_into(
                 writer.append(frame)
                 report(writer.written, writer.planned)
     return writer.finish()
-
-
-def _check_place(writer: RunWriter, track: Track, positions_mm: list[float]) -> None:
-    """Raise DeviceError where a scan that goes on might put its frames at shifted places."""
-    if writer.last_mm is not None and isinstance(track, PlaceChecking):
-        next_mm, zero = positions_mm[writer.written], writer.manifest.track_zero
-        track.check_place(writer.last_mm, next_mm, zero)
 
 
 @contextmanager
