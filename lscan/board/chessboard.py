@@ -348,7 +348,10 @@ def read_chessboard(
         Where not all corners are seen, or a row may have been skipped.
     """
     grey = bright_marks(image, channel, "bright")
-    seen = _find_corners(_eight_bit(grey), columns, rows)
+    seen = find_lattice(_eight_bit(grey), columns, rows)
+    # Either end may come first: the upper row is the one higher in the picture.
+    if seen[0, :, 1].mean() > seen[-1, :, 1].mean() and (rows + columns) % 2 == 0:
+        seen = seen[::-1, ::-1]
     return _measured(grey, seen, square_mm, CORNER_WINDOW)
 
 
@@ -501,15 +504,6 @@ def _eight_bit(grey: Image) -> Bytes:
     if low >= 0 and high > 1 and high <= 255:
         return np.rint(grey).astype(np.uint8)
     return np.rint((grey - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
-
-
-def _find_corners(picture: Bytes, columns: int, rows: int) -> Floats:
-    """(rows, columns, 2) px of the corners to about a pixel."""
-    points = find_lattice(picture, columns, rows)
-    # Either end may come first: the upper row is the one higher in the picture.
-    if points[0, :, 1].mean() > points[-1, :, 1].mean() and (rows + columns) % 2 == 0:
-        points = points[::-1, ::-1]
-    return points
 
 
 def _measured(grey: Image, lattice: Floats, square_mm: float, window: float) -> Marks:

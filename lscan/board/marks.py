@@ -229,7 +229,9 @@ def read_ring(
     seen &= ridges.height > np.maximum(
         FAINTEST * full, NOISE_LIMIT * noise.mean(axis=1) / np.sqrt(SPACING_PX)
     )
-    seen &= _alike(ridges.centre, seen)
+    if seen.any():  # of the others, the line lies about as far off the predicted one
+        apart = np.abs(ridges.centre - np.median(ridges.centre[seen]))
+        seen &= apart <= 4 * 1.4826 * np.median(apart[seen]) + 0.3
     blur_px2 = _blur(ridges, seen, sigma, width_px)
     outwards = ridges.centre + crossings.curvature * blur_px2 / 2
     points = crossings.middle + outwards[:, None] * crossings.normal
@@ -317,11 +319,3 @@ def _blur(ridges: Ridges, seen: Mask, sigma: float, width_px: Floats) -> float:
     height = (ridges.height + ridges.bend * sigma**2)[seen].mean()
     total = -height / (2 * ridges.bend[seen].mean()) - sigma**2
     return max(float(total - (width_px[seen] ** 2).mean() / 12), 0.0)
-
-
-def _alike(centre: Floats, seen: Mask) -> Mask:
-    """The profiles whose maximum lies off the predicted line by about as much as the others'."""
-    if not seen.any():
-        return seen
-    apart = np.abs(centre - np.median(centre[seen]))
-    return apart <= 4 * 1.4826 * np.median(apart[seen]) + 0.3
