@@ -114,7 +114,7 @@ def trace(model: Any, place: Keys) -> tuple[Keys, Any]:
             here = inner
             keys.append(part)
         else:
-            here = _tagged(here, part) or here
+            here = next((model for model in _models(here) if part in _tags(model)), None) or here
     return tuple(keys), here
 
 
@@ -130,11 +130,6 @@ def _member(annotation: Any, key: str | int) -> Any:
         if inner is not None:
             return inner
     return None
-
-
-def _tagged(annotation: Any, tag: str | int) -> Any:
-    """The model, of several, whose ``kind`` is ``tag``; None where there is none."""
-    return next((model for model in _models(annotation) if tag in _tags(model)), None)
 
 
 def _models(annotation: Any) -> list[Any]:
