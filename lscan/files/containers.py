@@ -403,7 +403,9 @@ def netcdf_bytes(arrays: Mapping[str, NetcdfArray], attributes: Mapping[str, Any
         for name, array in arrays.items():
             dimensions, values = array.dimensions, array.values
             if values.dtype.kind == "U":
-                dimensions, values = (*dimensions, f"{name}_length"), _characters(values)
+                characters = np.char.encode(values, "utf-8").view("S1")
+                dimensions = (*dimensions, f"{name}_length")
+                values = characters.reshape(*values.shape, -1)
             for dimension, size in zip(dimensions, values.shape, strict=True):
                 if dimension not in file.dimensions:
                     file.dimensions[dimension] = size
@@ -419,12 +421,6 @@ def netcdf_bytes(arrays: Mapping[str, NetcdfArray], attributes: Mapping[str, Any
         whole = {"Conventions": CONVENTIONS, **attributes}
         file.attrs.update({key: _portable(one) for key, one in whole.items()})
     return stream.getvalue()
-
-
-def _characters(texts: NDArray[np.str_]) -> NDArray[np.bytes_]:
-    """Texts (N,) as their characters (N, L)."""
-    encoded = np.char.encode(texts, "utf-8")
-    return encoded.view("S1").reshape(*texts.shape, -1)
 
 
 def _portable(value: Any) -> Any:
