@@ -102,7 +102,11 @@ def trace(profile: Profile) -> Trace:
     spacing = float(np.median(steps)) if len(steps) else 0.0
     if not spacing > 0:
         raise MeasurementError("no two neighbouring columns have a point: no segments")
-    tilt = _common_tilt(x, z)
+    # The median slope over short chords that stay on one segment: walls and steps are few.
+    reach = max(len(x) // 50, 3)
+    chord = (z[reach:] - z[:-reach]) / np.maximum(x[reach:] - x[:-reach], 1e-9)
+    level = chord[(np.abs(chord) < MAX_TILT) & (x[reach:] > x[:-reach])]
+    tilt = float(np.median(level)) if len(level) else 0.0
     modes = None if profile.points.modes_mm is None else profile.points.modes_mm[column]
     return Trace(x, z, sigma_x, sigma_z, profile.brightness[column], spacing, tilt, modes)
 
@@ -169,7 +173,9 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> LengthBudget:
     """
     points = np.concatenate([upper, lower])
     which = np.repeat([0, 1], [len(upper), len(lower)])
-    design = _two_lines(line.x[points], which)
+    x = line.x[points]  # counted from its mean, of two lines of one slope
+    middle = float(x.mean()) if len(x) else 0.0
+    design = np.column_stack([x - middle, which == 0, which == 1]).astype(float)
     keep = np.ones(len(points), dtype=bool)
     for _ in range(5):
         if min(np.sum(keep & (which == 0)), np.sum(keep & (which == 1))) < MIN_POINTS:
@@ -199,12 +205,6 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> LengthBudget:
     )
 
 
-def _two_lines(x: Floats, which: Ints) -> Floats:
-    """(K, 3) design of two lines of one slope, x counted from its mean."""
-    middle = float(x.mean()) if len(x) else 0.0
-    return np.column_stack([x - middle, which == 0, which == 1]).astype(float)
-
-
 def _correlation_factor(residual: Floats) -> float:
     """Factor by which the variance of a mean grows because neighbours err alike: 1 at least.
 
@@ -223,14 +223,6 @@ def _without_walls(run: Ints, flat: Floats) -> Ints:
     """The run without points at its ends that lie off its level: lit spots of a wall."""
     on_level = np.flatnonzero(np.abs(flat[run] - np.median(flat[run])) < LEVEL_MM)
     return run[on_level[0] : on_level[-1] + 1] if len(on_level) else run[:0]
-
-
-def _common_tilt(x: Floats, z: Floats) -> float:
-    """Median slope over short chords that stay on one segment: walls and steps are few."""
-    reach = max(len(x) // 50, 3)
-    chord = (z[reach:] - z[:-reach]) / np.maximum(x[reach:] - x[:-reach], 1e-9)
-    level = chord[(np.abs(chord) < MAX_TILT) & (x[reach:] > x[:-reach])]
-    return float(np.median(level)) if len(level) else 0.0
 
 
 # Where lit segments end, from how their brightness falls there.

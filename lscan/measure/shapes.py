@@ -259,8 +259,10 @@ def fit_shape(start: FittedShape, points: MeasuredPoints, what: str) -> ShapeFit
         count, fewest = int(kept.sum()), 2 * terms.design.shape[1]
         if count < fewest:
             raise MeasurementError(f"{what}: {count} points lie there, {fewest} are needed")
-        step, length = _step(terms.by_sigma(points)[kept], terms.distance_mm[kept] / sigma[kept])
-        squares = float(np.square(terms.distance_mm[kept] / sigma[kept]).sum())
+        weighted, ratio = terms.by_sigma(points)[kept], terms.distance_mm[kept] / sigma[kept]
+        step = -_inverse(weighted.T @ weighted)[0] @ (weighted.T @ ratio)
+        length = float(np.linalg.norm(weighted @ step))  # in standard deviations
+        squares = float(np.square(ratio).sum())
         idle = iteration >= SLOW_ITERATIONS and squares >= least
         if (length < SETTLED and iteration >= UNDECIDED_ITERATIONS) or idle:
             return _fitted(shape, points, kept)
@@ -276,13 +278,6 @@ def _no_outliers(terms: ShapeTerms, sigma: Floats) -> Mask:
     # Of a normal distribution the median of the absolute value is 0.6745 sigma.
     spread = float(np.median(ratio[terms.usable])) / 0.6745
     return terms.usable & (ratio <= OUTLIER * spread + LEAST_SIGMA_MM / sigma)
-
-
-def _step(weighted: Floats, ratio: Floats) -> tuple[Floats, float]:
-    """The Gauss-Newton step (P,) and its length in standard deviations; see ``_excess``."""
-    inverse, _ = _inverse(weighted.T @ weighted)
-    step = -inverse @ (weighted.T @ ratio)
-    return step, float(np.linalg.norm(weighted @ step))
 
 
 def _inverse(matrix: Floats) -> tuple[Floats, bool]:
