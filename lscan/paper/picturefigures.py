@@ -95,7 +95,9 @@ def row_fits(board: BoardResult) -> RowFits:
     """The middle row of control points with its three fits, and with one point moved by 1 px."""
     rows, columns = board.reading.shape
     row, moved = rows // 2, columns // 2
-    shifted = _shift_mark(board.reading, row * columns + moved)
+    image_px = board.reading.grid.image_px.copy()
+    image_px[row * columns + moved, 1] -= 1.0  # one pixel higher in the picture (Fig. 33)
+    shifted = replace(board.reading, grid=replace(board.reading.grid, image_px=image_px))
     fits = {name: board.calibrations[name].plane_map for name in FITS}
     again = {name: calibrate(shifted, name).plane_map for name in FITS}
     lattice = slice(row * columns, (row + 1) * columns)
@@ -106,13 +108,6 @@ def row_fits(board: BoardResult) -> RowFits:
         shifted_px=shifted.grid.image_px[lattice],
         shifted_curves={name: _latitude(plane, at_mm) for name, plane in again.items()},
     )
-
-
-def _shift_mark(reading: BoardReading, index: int) -> BoardReading:
-    """The reading with one control point one pixel higher in the picture (Fig. 33)."""
-    image_px = reading.grid.image_px.copy()
-    image_px[index, 1] -= 1.0
-    return replace(reading, grid=replace(reading.grid, image_px=image_px))
 
 
 def _latitude(plane_map: PlaneMap, at_mm: float) -> Floats:
@@ -166,7 +161,9 @@ def line_fits(row: RowFits) -> ReportFigure:
     figure, axes = style.panels(len(FITS), (style.WIDTH_IN, 1.4 * len(FITS) + 0.4))
     notes = []
     for panel, (name, (title, colour)) in zip(axes, FITS.items(), strict=True):
-        rms, worst = _residual(row.points_px, row.curves[name])
+        points = row.points_px[np.isfinite(row.points_px).all(axis=1)]
+        off = np.abs(points[:, 1] - _across(row.curves[name], points[:, 0]))  # in v, px
+        rms, worst = float(np.sqrt(np.mean(off**2))), float(off.max())
         notes.append(f"{title} {rms:.2f} px rms, {worst:.2f} px at most")
         panel.plot(*row.curves[name].T, color=colour)
         _mark(panel, row.points_px)
@@ -180,13 +177,6 @@ def line_fits(row: RowFits) -> ReportFigure:
 
 def _mark(panel: Axes, points: Floats, colour: str = style.INK) -> None:
     panel.plot(*points.T, "x", color=colour, markersize=5, markeredgewidth=1.0)
-
-
-def _residual(points: Floats, curve: Floats) -> tuple[float, float]:
-    """Rms and largest |distance| in v between points and curve, px."""
-    points = points[np.isfinite(points).all(axis=1)]
-    off = np.abs(points[:, 1] - _across(curve, points[:, 0]))
-    return float(np.sqrt(np.mean(off**2))), float(off.max())
 
 
 def _across(curve: Floats, u: Floats) -> Floats:
@@ -318,7 +308,10 @@ def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
         for k, (red, colour) in enumerate(zip(reds, _COLOURS, strict=False), start=1):
             axes.plot(red[:, column], color=colour, linewidth=1.0, label=f"frame {k}")
         axes.set_ylabel("red / DN")
-    _draw_centres(close, relative, raw)
+    for centres, dash in ((relative, "--"), (raw, ":")):
+        for centre, colour in zip(centres, _COLOURS, strict=False):
+            if np.isfinite(centre):
+                close.axvline(centre, color=colour, linewidth=0.9, linestyle=dash)
     peak = int(reds[0][:, column].argmax())
     close.set_xlim(peak - _ZOOM_PX, peak + _ZOOM_PX)
     close.set_xlabel("v / px")
@@ -340,13 +333,6 @@ def _centre(extractor: str, red: Floats, column: int) -> float:
     """Centre of the line in one column by a paper's extractor, px; NaN where there is none."""
     stripe: Stripe = find_plugin("lscan.extractors", extractor)(red, StripeSection(), red >= 255)
     return float(stripe.centre_px[column])
-
-
-def _draw_centres(axes: Axes, relative: Sequence[float], raw: Sequence[float]) -> None:
-    for centres, dash in ((relative, "--"), (raw, ":")):
-        for centre, colour in zip(centres, _COLOURS, strict=False):
-            if np.isfinite(centre):
-                axes.axvline(centre, color=colour, linewidth=0.9, linestyle=dash)
 
 
 def _spread(kind: str, centres: Sequence[float], printed: Sequence[float]) -> str:

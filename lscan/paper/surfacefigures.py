@@ -290,8 +290,18 @@ def slice_plot(
     heights.set_ylabel("z / mm")
     style.legend(heights)
     _draw_error(below, cut, errors, bar_mm)
+    missing = ~np.isfinite(cut.z_mm)
     for panel in (heights, below):
-        _shade_gaps(panel, cut)
+        panel.fill_between(
+            cut.along_mm,
+            0,
+            1,
+            where=missing,
+            transform=panel.get_xaxis_transform(),
+            color=style.RULE,
+            linewidth=0,
+            step="mid",
+        )
     below.set_xlabel(f"along {name} / mm")
     compared = np.isfinite(errors.error_mm)
     return drawn(
@@ -318,14 +328,6 @@ def _draw_error(axes: Axes, cut: Slice, errors: SliceErrors, bar_mm: float) -> N
     reach = 1.15 * max(bar_mm, float(np.nanmax(np.abs(error))))
     axes.set_ylim(-reach, reach)
     axes.set_ylabel("error / mm")
-
-
-def _shade_gaps(axes: Axes, cut: Slice) -> None:
-    missing = ~np.isfinite(cut.z_mm)
-    whole, colour = axes.get_xaxis_transform(), style.RULE
-    axes.fill_between(
-        cut.along_mm, 0, 1, where=missing, transform=whole, color=colour, linewidth=0, step="mid"
-    )
 
 
 def _gaps(cut: Slice, skipped: int) -> str:
