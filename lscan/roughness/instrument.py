@@ -348,7 +348,10 @@ def response_of(rig: Rig, surface: Surface, peak_dn: float | None = None) -> Sca
         raise InputError("is needed where the rig has a [sheet]", where="peak_dn")
     sigma_mm = rig.sheet.thickness_mm / 2
     points = surface.xyz_mm[good]
-    sheet_px = sigma_mm * _seen_across(rig.sheet, points) / pixel_mm
+    # mm across the line of sight for each mm from the sheet's middle plane
+    down = rig.sheet.camera_mm[2] - float(points[:, 2].mean())
+    across = abs(down) / float(np.hypot(down, rig.sheet.camera_mm[1]))
+    sheet_px = sigma_mm * across / pixel_mm
     return replace(
         along,
         sheet_cm=sigma_mm / MM_PER_CM,
@@ -383,9 +386,3 @@ def corrected_blur_px(surface: Surface) -> float:
     """
     told = [BLUR.fullmatch(done) for done in surface.corrections]
     return next((float(one[1]) for one in told if one), 0.0)
-
-
-def _seen_across(sheet: SheetSection, points_mm: Floats) -> float:
-    """mm across the line of sight for each mm from the sheet's middle plane, amid (N, 3) points."""
-    down = sheet.camera_mm[2] - float(points_mm[:, 2].mean())
-    return abs(down) / float(np.hypot(down, sheet.camera_mm[1]))

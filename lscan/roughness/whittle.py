@@ -18,7 +18,7 @@ likelihood of a random field on a grid with holes, and the covariance of its est
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.fft import fft, irfft2, next_fast_len, rfft2
@@ -184,7 +184,7 @@ def differences_of(
         y, x = _shown(there.shape, cell)
         chosen = _chosen(there.shape, band, cell, known)
         chosen &= np.abs(y) > np.abs(x) if axis == 0 else np.abs(x) >= np.abs(y)
-        yield Differences(_along(axis), -1, _taper(there), chosen, cell)
+        yield Differences(partial(np.diff, axis=axis - 2), -1, _taper(there), chosen, cell)
 
 
 def _shown(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, Floats]:
@@ -207,10 +207,6 @@ def _taper(there: Mask) -> Floats:
     """The first sine taper (Riedel & Sidorenko, IEEE Trans. Signal Processing 43, 188, 1995)."""
     sines = (np.sin(np.pi * (np.arange(n) + 1) / (n + 1)) for n in there.shape)
     return np.asarray(np.outer(*sines) * there)
-
-
-def _along(axis: int) -> Callable[[Floats], Floats]:
-    return lambda z: np.diff(z, axis=axis - 2)
 
 
 def _laplacian(z: Floats) -> Floats:
