@@ -470,7 +470,12 @@ class CameraLeg:
                 sources = wide
             lights.append(self._level(sources, grid))
             if grid.is_pooled:
-                sources = _pooled(sources)
+                # Shared out among the nearest cells of half as many each way, centres kept.
+                border = cv2.BORDER_CONSTANT
+                sums = cv2.sepFilter2D(
+                    sources, -1, HALVED, HALVED, anchor=(1, 1), borderType=border
+                )
+                sources = _picture(sums[::2, ::2])
         fine = int(log2(COARSER))
         return _summed([*lights[:fine], _summed(lights[fine:])[self._chart.block]])
 
@@ -607,17 +612,6 @@ def _vectors(grid: ChartGrid) -> Picture:
     """(rows, columns, 10) unit vectors right, down and back to the camera; c."""
     vectors = np.vstack([grid.right, grid.down, -grid.directions]).T.reshape(*grid.shape, 9)
     return np.dstack([vectors, grid.half_cosine]).astype(np.float32)
-
-
-def _pooled(shining: Picture) -> Picture:
-    """On a grid of half as many cells each way.
-
-    It is shared out among the nearest cells such that its centre stays where it is.
-    """
-    sums = cv2.sepFilter2D(
-        shining, -1, HALVED, HALVED, anchor=(1, 1), borderType=cv2.BORDER_CONSTANT
-    )
-    return _picture(sums[::2, ::2])
 
 
 def _summed(pictures: list[Picture]) -> Picture:

@@ -274,8 +274,14 @@ class GatheredLight:
 
     def _cell_rays(self, grid: ChartGrid, cells: Ints, line: Picture) -> CellRays:
         """Rays of cells of a grid, given the line's light in all of them."""
-        on_line = np.intersect1d(_on_line(line), cells, assume_unique=True)
-        finer = self._chart.between(grid, _inside(on_line, grid.shape[1], self._finer(grid)))
+        # On the line and beside it, where the glow peaks, each cell in so many places down it.
+        near = np.flatnonzero(cv2.dilate((line > 0).astype(np.uint8), NEIGHBOURS))
+        on_line = np.intersect1d(near, cells, assume_unique=True)
+        row, column = np.divmod(on_line, grid.shape[1])
+        count = self._finer(grid)
+        below = (np.arange(count) + 0.5) / count - 0.5
+        places = np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
+        finer = self._chart.between(grid, places)
         directions = np.hstack([grid.directions[:, cells], finer])
         return CellRays(grid, cells, on_line, directions)
 
@@ -417,18 +423,6 @@ def _splatted(
     columns_of = [np.bincount(cells, each, rows * columns).astype(np.float32) for each in shared]
     shone, depth, *tilt = (column.reshape(rows, columns) for column in columns_of)
     return Shining(shone, depth, np.stack(tilt, axis=-1))
-
-
-def _on_line(line: Picture) -> Ints:
-    """Numbers of a grid's cells on the line and beside it, where the glow peaks."""
-    return np.flatnonzero(cv2.dilate((line > 0).astype(np.uint8), NEIGHBOURS))
-
-
-def _inside(cells: Ints, columns: int, count: int) -> Floats:
-    """(2, N count) columns and rows, in cells, of so many places down each of N cells."""
-    row, column = np.divmod(cells, columns)
-    below = (np.arange(count) + 0.5) / count - 0.5
-    return np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
 
 
 def _cut_pixels(direct: Picture, bent: Mask) -> tuple[Ints, Ints]:
