@@ -370,7 +370,10 @@ def is_folded(lens: Lens, width_px: int, height_px: int) -> bool:
     lens : Lens, whose distortion is meant
     width_px, height_px : int, px, of the picture
     """
-    border = _border(lens, width_px, height_px)
+    u = np.linspace(-0.5, width_px - 0.5, ALONG_BORDER)
+    v = np.linspace(-0.5, height_px - 0.5, ALONG_BORDER)
+    sides = np.concatenate([u + 1j * v[0], u + 1j * v[-1], u[0] + 1j * v, u[-1] + 1j * v])
+    border = np.asarray((sides - complex(*lens.centre_px)) / lens.focal_px)  # distorted tangents
     found = np.zeros_like(border)
     with np.errstate(all="ignore"):  # beyond a fold Newton's method goes anywhere, or to NaN
         for part in np.arange(1, STEPS + 1) / STEPS:
@@ -384,14 +387,6 @@ def is_folded(lens: Lens, width_px: int, height_px: int) -> bool:
             if not (np.all(off_px < FOUND_PX) and np.all(least > 0)):
                 return True
     return False
-
-
-def _border(lens: Lens, width_px: int, height_px: int) -> Complexes:
-    """(N,) distorted tangents of the picture's edge."""
-    u = np.linspace(-0.5, width_px - 0.5, ALONG_BORDER)
-    v = np.linspace(-0.5, height_px - 0.5, ALONG_BORDER)
-    sides = [u + 1j * v[0], u + 1j * v[-1], u[0] + 1j * v, u[-1] + 1j * v]
-    return np.asarray((np.concatenate(sides) - complex(*lens.centre_px)) / lens.focal_px)
 
 
 def _terms(lens: Lens, z: Complexes) -> tuple[Floats, Floats, Floats, complex]:
