@@ -362,7 +362,7 @@ class _ScanDevices:
         """The frame taken there, checked; DeviceError where a run cannot hold it."""
         position_mm = self.track.move_to(commanded_mm)
         grab = self.camera.grab(index) if self.laser is None else self._lit(index, self.laser)
-        lit = self._checked(grab, index)
+        lit = self._check_grab(grab, index)
         background = None
         if self.paired and self.laser is not None:
             background = self._background(index, lit, self.laser)
@@ -387,7 +387,7 @@ class _ScanDevices:
     def _background(self, index: int, lit: Grab, laser: _ScanLaser) -> Bytes:
         """The same view with the laser off, which must have been taken like the lit one."""
         laser.off()
-        dark = self._checked(self.camera.grab(index, dark=True), index)
+        dark = self._check_grab(self.camera.grab(index, dark=True), index)
         for name, one, other in (
             ("shape", dark.image.shape, lit.image.shape),
             ("exposure_ms", dark.exposure_ms, lit.exposure_ms),
@@ -400,7 +400,7 @@ class _ScanDevices:
                 )
         return dark.image
 
-    def _checked(self, grab: Grab, index: int) -> Grab:
+    def _check_grab(self, grab: Grab, index: int) -> Grab:
         """The picture; DeviceError where it is not what a run folder can hold."""
         section, image = self.section, grab.image
         if image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):

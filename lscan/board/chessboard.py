@@ -64,7 +64,7 @@ def corner_lattices(grey: Image, most: int) -> Iterator[Floats]:
     noise = np.full_like(grey, noise_of(grey))
     for scale in SCALES_PX:
         for seeds in _seeds(grey, scale):
-            nodes = _grown(grey, noise, seeds, most)
+            nodes = _grow_lattice(grey, noise, seeds, most)
             if nodes.found.sum() >= FEWEST_SADDLES:
                 yield nodes.part(nodes.extent()).points
 
@@ -93,7 +93,7 @@ def _saddles(grey: Image, scale_px: float) -> tuple[Floats, Floats]:
     return np.column_stack([column, row])[order].astype(float), strength[order]
 
 
-def _grown(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
+def _grow_lattice(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
     """All corners that can be reached from the seeds."""
     last = np.array(grey.shape[::-1]) - 1
 
@@ -170,9 +170,9 @@ def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
         Where no detector finds the corners, or the picture does not bear out what they find.
     """
     best, doubted = None, False
-    for detect in (_by_opencv, _by_saddles):
+    for detect in (_corners_by_opencv, _corners_by_saddles):
         for corners in detect(picture, columns, rows):
-            seen = _judged(picture, corners)
+            seen = _best_lattice(picture, corners)
             doubted |= seen is None
             if seen is not None and (best is None or seen.right > best.right):
                 best = seen
@@ -192,7 +192,7 @@ def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
     )
 
 
-def _by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
+def _corners_by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
     """What OpenCV's detectors find, with random numbers from one seed, drawn by one thread."""
     threads = cv2.getNumThreads()
     for detect, flags in DETECTORS:
@@ -206,7 +206,7 @@ def _by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
             yield np.asarray(corners, dtype=float).reshape(rows, columns, 2)
 
 
-def _by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
+def _corners_by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
     """Every complete part of that size of the lattices of saddles, either way up."""
     for lattice in corner_lattices(picture.astype(np.float32), 2 * max(rows, columns)):
         for turned in (lattice, np.rot90(lattice)):
@@ -217,7 +217,7 @@ def _by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
                     yield part
 
 
-def _judged(picture: Bytes, corners: Floats) -> SeenLattice | None:
+def _best_lattice(picture: Bytes, corners: Floats) -> SeenLattice | None:
     """The lattice, or the one a row or column beside it, that the squares speak for; None: none.
 
     Where further squares show in part the lattice may be found a row off: the whole squares about
@@ -227,8 +227,8 @@ def _judged(picture: Bytes, corners: Floats) -> SeenLattice | None:
     if not _is_even(corners):
         return None
     rows, columns = corners.shape[:2]
-    wide = _extended(_extended(corners))
-    middle, whole = _in_turn(picture, wide)  # (rows + 3, columns + 3)
+    wide = _with_rim(_with_rim(corners))
+    middle, whole = _alternating_squares(picture, wide)  # (rows + 3, columns + 3)
     seen = []
     for down, across in np.ndindex(3, 3):
         window = np.s_[down : down + rows + 1, across : across + columns + 1]
@@ -259,7 +259,7 @@ def _is_even(corners: Floats) -> bool:
     return True
 
 
-def _extended(corners: Floats) -> Floats:
+def _with_rim(corners: Floats) -> Floats:
     """(R + 2, C + 2, 2) the lattice with a rim about it, by equal steps."""
     for axis in (0, 1):
         p = np.moveaxis(corners, axis, 0)
@@ -268,7 +268,7 @@ def _extended(corners: Floats) -> Floats:
     return corners
 
 
-def _in_turn(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
+def _alternating_squares(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
     """(R - 1, C - 1) masks of the squares that are dark or bright as their turn is.
 
     In the middle, and also towards all four sides, as a sliver of a square is not.
@@ -352,7 +352,7 @@ def read_chessboard(
     # Either end may come first: the upper row is the one higher in the picture.
     if seen[0, :, 1].mean() > seen[-1, :, 1].mean() and (rows + columns) % 2 == 0:
         seen = seen[::-1, ::-1]
-    return _measured(grey, seen, square_mm, CORNER_WINDOW)
+    return _measure_corners(grey, seen, square_mm, CORNER_WINDOW)
 
 
 def read_charuco(
@@ -404,7 +404,7 @@ def read_charuco(
     seen[np.divmod(numbers, columns)] = corners
     # A marker lies in the middle of its square: its corner is nearest, along the diagonal.
     clear = CLEAR_OF_MARKER * (1 - marker_mm / square_mm) / np.sqrt(2)
-    return _measured(grey, seen, square_mm, min(CORNER_WINDOW, clear))
+    return _measure_corners(grey, seen, square_mm, min(CORNER_WINDOW, clear))
 
 
 def _charuco_corners(picture: Bytes, board: cv2.aruco.CharucoBoard) -> tuple[Floats, Ints]:
@@ -506,7 +506,7 @@ def _eight_bit(grey: Image) -> Bytes:
     return np.rint((grey - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
 
 
-def _measured(grey: Image, lattice: Floats, square_mm: float, window: float) -> Marks:
+def _measure_corners(grey: Image, lattice: Floats, square_mm: float, window: float) -> Marks:
     """The corners ``lattice`` (rows, columns, 2) px, NaN where not seen, measured anew.
 
     window: Gaussian sigma they are seen through, of the distance between corners.

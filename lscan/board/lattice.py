@@ -97,7 +97,7 @@ class LocalMap:
         across = design.transpose(0, 2, 1)
         at_place = np.broadcast_to(np.eye(6, 1), (len(index), 6, 1))
         right = np.concatenate([across @ self.image_px[index], at_place], axis=2)
-        solved = _solved(across @ design, right)  # (M, 6, 3)
+        solved = _solve(across @ design, right)  # (M, 6, 3)
         solved, leverage = solved[..., :2], solved[:, 0, 2]
         xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
         bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
@@ -106,7 +106,7 @@ class LocalMap:
         return Expansion(solved[:, 0], jacobian / self.pitch_mm, bend, leverage)
 
 
-def _solved(left: Floats, right: Floats) -> Floats:
+def _solve(left: Floats, right: Floats) -> Floats:
     """Solutions (M, 6, K) of M normal equations, left (M, 6, 6), right (M, 6, K).
 
     On a narrow board the nearest points may leave a coefficient free; it is then 0.

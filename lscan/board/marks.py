@@ -229,7 +229,7 @@ def read_ring(
     seen &= ridges.height > np.maximum(
         FAINTEST * full, NOISE_LIMIT * noise.mean(axis=1) / np.sqrt(SPACING_PX)
     )
-    if seen.any():  # of the others, the line lies about as far off the predicted one
+    if seen.any():  # the line lies about as far off the predicted one as in the others
         apart = np.abs(ridges.centre - np.median(ridges.centre[seen]))
         seen &= apart <= 4 * 1.4826 * np.median(apart[seen]) + 0.3
     blur_px2 = _blur(ridges, seen, sigma, width_px)
@@ -269,15 +269,15 @@ def _profiles(
     part = np.s_[low[1] : high[1], low[0] : high[0]]
     if picture.flat[part].size == 0:
         empty = np.zeros(points.shape[:2])
-        return _averaged(empty), _averaged(empty)
+        return _average_neighbours(empty), _average_neighbours(empty)
     places = [points[..., 1] - low[1], points[..., 0] - low[0]]
     spline = spline_filter(picture.flat[part].astype(np.float64))
     grey = map_coordinates(spline, places, order=3, prefilter=False, cval=0.0)
     noise = map_coordinates(picture.noise[part].astype(np.float64), places, order=1, mode="nearest")
-    return _averaged(grey), _averaged(noise)
+    return _average_neighbours(grey), _average_neighbours(noise)
 
 
-def _averaged(profiles: Floats) -> Floats:
+def _average_neighbours(profiles: Floats) -> Floats:
     """Each profile with its neighbours along the line: (3 N, M) to (N, M)."""
     triples = profiles.reshape(-1, len(BREADTH_PX), profiles.shape[1])
     return np.asarray(triples.mean(axis=1))

@@ -49,8 +49,8 @@ def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
     radius_px : float, px, about that of the dots
     """
     smooth = np.asarray(cv2.GaussianBlur(bright, (0, 0), 1.0), dtype=np.float32)
-    levels, variances = _on_plate(bright, smooth, nodes, radius_px)
-    dot = _in_dots(bright, nodes)
+    levels, variances = _plate_levels(bright, smooth, nodes, radius_px)
+    dot = _dot_level(bright, nodes)
     if dot is not None:
         levels, variances = np.append(levels, dot[0]), np.append(variances, dot[1])
     order = np.argsort(levels)
@@ -60,7 +60,7 @@ def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
     return enlarged(noise, bright.shape)
 
 
-def _on_plate(
+def _plate_levels(
     bright: Image, smooth: Image, nodes: Nodes, radius_px: float
 ) -> tuple[Floats, Floats]:
     """Levels and variances of up to eight parts of the plate, from the darkest to the brightest.
@@ -93,7 +93,7 @@ def _clear_of(nodes: Nodes, radius_px: float, shape: tuple[int, ...]) -> Mask:
     return clear.astype(bool)
 
 
-def _in_dots(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
+def _dot_level(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
     """Level and variance in the middle of the dots, None where too few were found.
 
     The third difference [1 -2 1] by [-1 0 1], whose squared norm is 12, vanishes in the middle

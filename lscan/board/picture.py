@@ -117,7 +117,7 @@ def fit_centres(
     reach = int(np.ceil(REACH * sigma.max())) + 1
     pieces = -(-len(start) * (2 * reach + 1) ** 2 // AT_ONCE)
     fits = [
-        _fitted(flat, some, widths, noise, reach, steps, saddles)
+        _fit_windows(flat, some, widths, noise, reach, steps, saddles)
         for some, widths in zip(
             np.array_split(start, pieces), np.array_split(sigma, pieces), strict=True
         )
@@ -125,7 +125,7 @@ def fit_centres(
     return Centres(*map(np.concatenate, zip(*(vars(fit).values() for fit in fits), strict=True)))
 
 
-def _fitted(
+def _fit_windows(
     flat: NDArray[np.floating],
     start: Floats,
     sigma: Floats,

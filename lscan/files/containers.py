@@ -263,7 +263,7 @@ def npz_arrays(data: bytes, most: int, where: object) -> dict[str, NDArray[Any]]
                 raise InputError("unpacks to too much: bytes", where=where, value=total,
                                  allowed=allowed)  # fmt: skip
             return {
-                entry.filename.removesuffix(".npy"): _npy_array(_unpacked(archive, entry))
+                entry.filename.removesuffix(".npy"): _npy_array(_unpack_member(archive, entry))
                 for entry in entries
             }
     except InputError:
@@ -272,7 +272,7 @@ def npz_arrays(data: bytes, most: int, where: object) -> dict[str, NDArray[Any]]
         raise InputError("cannot be read as arrays", where=where) from error
 
 
-def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+def _unpack_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
     """The bytes of a member, of which no more than it states are unpacked."""
     with archive.open(entry) as opened:
         return opened.read(entry.file_size + 1)
@@ -477,7 +477,7 @@ def unpacked(array: NetcdfArray, where: str) -> Floats:
             value = f"{scale:g}, {offset:g}"
             raise InputError("scale_factor, add_offset: no packing", where=where, value=value)
         values = values.astype(float) * scale + offset
-    missing = _missing(stored, values, notes, where)
+    missing = _missing_values(stored, values, notes, where)
     return np.where(missing, np.nan, values) if missing.any() else values
 
 
@@ -492,7 +492,7 @@ def _numbers(value: Any, most: int, where: str) -> NDArray[Any]:
     return found.astype(found.dtype.newbyteorder("="))
 
 
-def _missing(
+def _missing_values(
     stored: NDArray[Any], values: Floats, notes: Mapping[str, NDArray[Any]], where: str
 ) -> Mask:
     """Where an array has no value.

@@ -62,7 +62,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if kind in ("obj", "off") and b"\0" in content:
         raise InputError("is no text, or one in UTF-16; save it as UTF-8", where=path)
     try:
-        mesh = _read_stl(content) if kind == "stl" else _in_triangles(READERS[kind](content))
+        mesh = _read_stl(content) if kind == "stl" else _triangle_mesh(READERS[kind](content))
     except InputError as error:
         raise InputError(str(error), where=path) from error
     except Exception as error:  # trimesh and NumPy raise whatever they do on what is no such file
@@ -133,7 +133,7 @@ def _first_of_equals(rows: NDArray[np.integer]) -> tuple[Ints, Ints]:
     return np.sort(first), rank[place]
 
 
-def _in_triangles(read: PolygonMesh) -> trimesh.Trimesh:
+def _triangle_mesh(read: PolygonMesh) -> trimesh.Trimesh:
     """The mesh that a file lists."""
     if read.vertices.shape[1:] != (3,):
         raise InputError("has vertices without three coordinates")

@@ -125,7 +125,7 @@ def segments(line: Trace) -> list[Segment]:
     return [Segment(run, float(np.median(flat[run]))) for run in level if len(run) >= MIN_POINTS]
 
 
-def joined(parts: Sequence[Segment], line: Trace) -> Segment:
+def join_segments(parts: Sequence[Segment], line: Trace) -> Segment:
     """One segment of all the points of several that lie on one level.
 
     Parameters
@@ -473,7 +473,7 @@ def _ridges(
             groups[-1].append(part)
         else:
             groups.append([part])
-    ridges = tuple(joined(group, line) for group in groups)
+    ridges = tuple(join_segments(group, line) for group in groups)
     ridges = tuple(ridge for ridge in ridges if _width(line, ridge) > narrowest / 2)
     if len(ridges) != wanted:
         raise MeasurementError(f"{len(ridges)} tops found, the block has {wanted}")
@@ -493,7 +493,7 @@ def _widest_level(line: Trace, parts: list[Segment]) -> Segment:
     """The widest of the segments, joined with the others on its level."""
     widest = max(parts, key=lambda part: _width(line, part))
     level = [part for part in parts if abs(part.level_mm - widest.level_mm) < 2.0]
-    return joined(level, line)
+    return join_segments(level, line)
 
 
 def _width(line: Trace, part: Segment) -> float:

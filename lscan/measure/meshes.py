@@ -132,7 +132,7 @@ class MeshSearch:
         off = distance > TIE_MM  # nearer, the direction is rounding
         normal = _normals(self._corners(triangle))
         normal[off] = sign[off, None] * away[off] / distance[off, None]
-        border = self._on_border(triangle, place)
+        border = self._is_on_border(triangle, place)
         return NearestPlaces(sign * distance, place, normal, border)
 
     def _corners(self, triangle: Ints) -> Floats:
@@ -170,7 +170,7 @@ class MeshSearch:
         sure |= reached[:, 0] - self._reach > within_mm
         return triangle[best], places[best], side, sure
 
-    def _on_border(self, triangle: Ints, place: Floats) -> Mask:
+    def _is_on_border(self, triangle: Ints, place: Floats) -> Mask:
         """(K,) whether places of triangles lie on an edge that is no other triangle's."""
         open_edges = self._border[triangle]
         on_border = np.zeros(len(triangle), dtype=bool)

@@ -265,7 +265,7 @@ def fit_shape(start: FittedShape, points: MeasuredPoints, what: str) -> ShapeFit
         squares = float(np.square(ratio).sum())
         idle = iteration >= SLOW_ITERATIONS and squares >= least
         if (length < SETTLED and iteration >= UNDECIDED_ITERATIONS) or idle:
-            return _fitted(shape, points, kept)
+            return _shape_fit(shape, points, kept)
         shape, least = shape.moved(step), squares
     raise MeasurementError(f"{what}: the fit does not settle: does what lies there determine it?")
 
@@ -290,7 +290,7 @@ def _inverse(matrix: Floats) -> tuple[Floats, bool]:
     return inverse / np.outer(scale, scale), bool(known.all())
 
 
-def _fitted(shape: FittedShape, points: MeasuredPoints, kept: Mask) -> ShapeFit:
+def _shape_fit(shape: FittedShape, points: MeasuredPoints, kept: Mask) -> ShapeFit:
     """The fit with its uncertainty, the shape and the points that had a part in it decided."""
     terms = shape.terms(points.xyz_mm)
     sigma = terms.sigma_mm(points)[kept]
@@ -659,7 +659,7 @@ def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasur
         ("cylinder", CylinderShape, wanted.cylinder),
     ):
         for entry in entries:
-            points = _in_box(surface, entry, entry.name)
+            points = _points_in_box(surface, entry, entry.name)
             fit = fit_shape(shape.start(points.xyz_mm), points, f"{kind} {entry.name!r}")
             found.append(_measure(kind, entry.name, fit, points))
     return found + [_height(surface, one) for one in wanted.height]
@@ -667,7 +667,7 @@ def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasur
 
 def _planes(surface: Surface, kind: str, name: str, boxes: Sequence[SurfaceBox]) -> ShapeMeasure:
     """One plane, or two parallel ones, the upper first."""
-    parts = [_in_box(surface, box, name) for box in boxes]
+    parts = [_points_in_box(surface, box, name) for box in boxes]
     alike = zip(*((part.xyz_mm, part.own_mm2, part.modes_mm) for part in parts), strict=True)
     points = MeasuredPoints(*map(np.concatenate, alike))
     which: Ints = np.repeat(np.arange(len(parts)), [len(part.xyz_mm) for part in parts])
@@ -675,7 +675,7 @@ def _planes(surface: Surface, kind: str, name: str, boxes: Sequence[SurfaceBox])
     return _measure(kind, name, fit_shape(start, points, f"{kind} {name!r}"), points)
 
 
-def _in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoints:
+def _points_in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoints:
     """The surface's points in the box, at most MOST_POINTS of them."""
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
     inside: Mask = np.ones(x.shape, dtype=bool)

@@ -255,7 +255,7 @@ _COLOURS = (style.FIRST, style.SECOND, style.THIRD)
 def groove_snapshot(pictures: LinePictures) -> ReportFigure:
     """The laser line on the grooved block (Fig. 21)."""
     stripe = pictures.stripe
-    return photographed("groove", pictures.images[0], _traced(stripe), line=_describe(stripe))
+    return photographed("groove", pictures.images[0], _line_spots(stripe), line=_describe(stripe))
 
 
 def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
@@ -265,11 +265,11 @@ def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
     """
     image, stripe = pictures.images[0], pictures.stripe
     dashes = f'd="M{column},0V{image.shape[0]}" stroke-width="0.8" stroke-dasharray="4 4"'
-    overlay = f'{_traced(stripe)}<path {dashes} stroke="{_COLUMN}"/>'
+    overlay = f'{_line_spots(stripe)}<path {dashes} stroke="{_COLUMN}"/>'
     return photographed("sandwave", image, overlay, line=_describe(stripe), column=column)
 
 
-def _traced(stripe: Stripe) -> str:
+def _line_spots(stripe: Stripe) -> str:
     return style.spots(stripe.image_px, _FOUND, 1.1)
 
 
@@ -324,8 +324,8 @@ def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
         figure,
         column=column,
         frames=len(reds),
-        relative=_spread("relative", relative, paper.CENTRES_RELATIVE_PX),
-        raw=_spread("raw", raw, paper.CENTRES_RAW_PX),
+        relative=_spread_sentence("relative", relative, paper.CENTRES_RELATIVE_PX),
+        raw=_spread_sentence("raw", raw, paper.CENTRES_RAW_PX),
     )
 
 
@@ -335,7 +335,7 @@ def _centre(extractor: str, red: Floats, column: int) -> float:
     return float(stripe.centre_px[column])
 
 
-def _spread(kind: str, centres: Sequence[float], printed: Sequence[float]) -> str:
+def _spread_sentence(kind: str, centres: Sequence[float], printed: Sequence[float]) -> str:
     """One sentence on the centres by one kind of intensity, and on the paper's."""
     theirs = f"{max(printed) - min(printed):.4f} px in the paper"
     if not np.isfinite(centres).all():

@@ -210,15 +210,17 @@ class ScannerResponse:
         along_y, along_x : array or float, rad/cm
         """
         along_y, along_x = np.asarray(along_y), np.asarray(along_x)
-        passed = np.mean([self._of_sheet(along_y + k * along_x) ** 2 for k in self.aside], axis=0)
+        passed = np.mean(
+            [self._gain_of_sheet(along_y + k * along_x) ** 2 for k in self.aside], axis=0
+        )
         passed = passed * np.exp(-((along_x * self.blur_cm) ** 2))
         passed = passed * np.sinc(along_x * self.pixel_cm / (2 * np.pi)) ** 2
         if self.corrected_px:
             passed = passed * correction_gain(along_x * self.pixel_cm, self.corrected_px) ** 2
         halves = (along * self.cell_cm / 2 for along in (along_y, along_x))
-        return np.asarray(passed * _of_quadratic(*halves) ** 2)
+        return np.asarray(passed * _gain_of_quadratic(*halves) ** 2)
 
-    def _of_sheet(self, across: Floats) -> Floats:
+    def _gain_of_sheet(self, across: Floats) -> Floats:
         """Gain of the amplitude of waves of so many rad/cm across the sheet, along a sight."""
         if self.reading is not None:
             return self.reading.at(across * self.sheet_cm)
@@ -237,7 +239,7 @@ class ScannerResponse:
         return np.asarray((passed >= LEAST_PASSED) & (less >= passed * 10 ** (-FARTHEST_DB / 10)))
 
 
-def _of_quadratic(half_y: Floats, half_x: Floats) -> Floats:
+def _gain_of_quadratic(half_y: Floats, half_x: Floats) -> Floats:
     """What the middle of a quadratic through cos(h_y s + h_x t), over a square, keeps of it.
 
     It is 7/2 <f> - 15/4 (<s² f> + <t² f>), means over -1 to 1, by least squares.

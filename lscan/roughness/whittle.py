@@ -66,7 +66,7 @@ class CovarianceSum:
     @cached_property
     def plane(self) -> tuple[Floats, Floats]:
         """(P, 1) and (1, Q) rad/cm along y and x, x not negative: a real field's other half."""
-        rows, columns = self._padded
+        rows, columns = self._padded_shape
         y, _ = wavenumbers((rows, 1), self.cell_cm)
         x = 2 * np.pi * np.fft.rfftfreq(columns, self.cell_cm)
         return y, np.asarray(x, dtype=float)[np.newaxis, :]
@@ -78,7 +78,7 @@ class CovarianceSum:
         ----------
         density_cm4 : (P, Q) array, cm^4, on ``plane``
         """
-        summed = irfft2(density_cm4, self._padded) * (2 * np.pi / self.cell_cm) ** 2
+        summed = irfft2(density_cm4, self._padded_shape) * (2 * np.pi / self.cell_cm) ** 2
         return np.asarray(summed[np.ix_(*(np.arange(1 - count, count) for count in self.shape))])
 
     def of_noise(self, variance_cm2: float) -> Floats:
@@ -94,7 +94,7 @@ class CovarianceSum:
         return found
 
     @property
-    def _padded(self) -> tuple[int, int]:
+    def _padded_shape(self) -> tuple[int, int]:
         rows, columns = (next_fast_len(PADDING * count, real=True) for count in self.shape)
         return rows, columns
 
@@ -181,13 +181,13 @@ def differences_of(
     for axis in (0, 1):
         both = np.diff(seen.astype(int), axis=axis) == 0
         there = both & np.take(seen, range(seen.shape[axis] - 1), axis=axis)
-        y, x = _shown(there.shape, cell)
+        y, x = _half_wavenumbers(there.shape, cell)
         chosen = _chosen(there.shape, band, cell, known)
         chosen &= np.abs(y) > np.abs(x) if axis == 0 else np.abs(x) >= np.abs(y)
         yield Differences(partial(np.diff, axis=axis - 2), -1, _taper(there), chosen, cell)
 
 
-def _shown(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, Floats]:
+def _half_wavenumbers(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, Floats]:
     """Wavenumbers of a periodogram, of a real field's each once: those along y from 0 on."""
     rows, columns = shape
     y, x = wavenumbers((rows, columns), cell_cm)
@@ -195,7 +195,7 @@ def _shown(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, Floats]:
 
 
 def _chosen(shape: tuple[int, ...], band: Band, cell_cm: float, known: Known | None) -> Mask:
-    y, x = _shown(shape, cell_cm)
+    y, x = _half_wavenumbers(shape, cell_cm)
     size, end = np.hypot(y, x), np.pi / cell_cm * (1 - 1e-9)
     chosen = (size >= band.low_per_cm) & (size <= band.high_per_cm)
     chosen &= (y > 0) | (x > 0)
@@ -462,7 +462,7 @@ class _Likelihood:
         expected = self.expected(theta)
         slopes = self._derivatives(theta, expected)
         scores = []
-        for number, z in enumerate(self._simulated(law_of(theta), seed, simulated), start=1):
+        for number, z in enumerate(self._simulate_patches(law_of(theta), seed, simulated), start=1):
             values = np.concatenate([part.periodogram(z) for part in self._parts])
             scores.append(slopes.T @ (values / expected - 1))
             if progress is not None:
@@ -470,7 +470,7 @@ class _Likelihood:
         inverse = np.linalg.inv(slopes.T @ slopes)
         return np.asarray(inverse @ np.cov(np.array(scores).T) @ inverse)
 
-    def _simulated(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
+    def _simulate_patches(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
         """(R, C) cm, patches of a law as the instrument shows it."""
         patch, generator = self._patch, np.random.default_rng([seed, 17])
         rows, columns = patch.z_cm.shape

@@ -123,12 +123,12 @@ def is_whole(data: bytes) -> bool:
         return False
     head, needed = data[: layout.start], np.zeros(len(runs), dtype=bool)
     try:
-        image = _decoded_runs(head, runs)
-        if not np.array_equal(image, _decoded_runs(head, [run + FILLERS[0] for run in runs])):
+        image = _decode_runs(head, runs)
+        if not np.array_equal(image, _decode_runs(head, [run + FILLERS[0] for run in runs])):
             return False
         for filler in FILLERS:
             # Where the cut parts a 0xFF from its 0x00, the 0xFF would begin a marker.
-            other = _decoded_runs(head, [run[:-TAIL].rstrip(b"\xff") + filler for run in runs])
+            other = _decode_runs(head, [run[:-TAIL].rstrip(b"\xff") + filler for run in runs])
             needed |= [bool((image[place] != other[place]).any()) for place in _places(layout)]
             if needed.all():
                 return True
@@ -190,7 +190,7 @@ def _runs(coded: bytes) -> list[bytes]:
     return []
 
 
-def _decoded_runs(head: bytes, runs: list[bytes]) -> Bytes:
+def _decode_runs(head: bytes, runs: list[bytes]) -> Bytes:
     """The picture whose coded data are these runs.  Raises OSError or ValueError."""
     markers = [bytes([0xFF, 0xD0 + number % 8]) for number in range(len(runs) - 1)] + [END]
     coded = b"".join(part for pair in zip(runs, markers, strict=True) for part in pair)
@@ -272,7 +272,7 @@ class JpegStream:
         Raises DeviceError where packets are broken or never need to be waited for.
         """
         for _ in range(MOST_BROKEN):
-            packet = self._awaited()
+            packet = self._next_packet()
             if packet is None:
                 return False, None
             file = jpeg_file(packet)
@@ -286,7 +286,7 @@ class JpegStream:
             "and the camera, then scan with --resume"
         )
 
-    def _awaited(self) -> Bytes | None:
+    def _next_packet(self) -> Bytes | None:
         """The next packet that had to be waited for; None where the stream has ended."""
         for _ in range(MOST_WAITING):
             asked_s = time.monotonic()
