@@ -175,7 +175,7 @@ class FournierForand:
         sin2 = np.sin(angle / 2) ** 2
         delta = self._delta(sin2)
         near = np.abs(delta - 1) < SERIES_WITHIN
-        core = np.where(near, self._series(delta, sin2), self._closed(delta, sin2))
+        core = np.where(near, self._series(delta, sin2), self._closed_form(delta, sin2))
         wide = self._backward() * (3 * np.cos(angle) ** 2 - 1) / (16 * np.pi)
         return core / (4 * np.pi * delta**self.nu) + wide
 
@@ -191,7 +191,7 @@ class FournierForand:
         delta = self._delta(np.array(1.0))
         return -np.expm1(self.nu * np.log(delta)) / (delta - 1) / delta**self.nu
 
-    def _closed(self, delta: Floats, sin2: Floats) -> Floats:
+    def _closed_form(self, delta: Floats, sin2: Floats) -> Floats:
         """The first part of p times 4 pi delta^nu, away from delta = 1."""
         less = 1 - delta
         drop = -np.expm1(self.nu * np.log(delta))  # 1 - delta^nu
