@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from lscan.figures.page import ReportFigure
 from lscan.paper import picturefigures, surfacefigures
-from lscan.paper.experiment import Experiment
+from lscan.paper.experiment import Experiment, LinePictures
 from lscan.paper.published import Bars
 from lscan.pipeline import SandwaveMeasures
 
@@ -24,17 +24,21 @@ def page_figures(experiment: Experiment, bars: Bars) -> dict[str, list[Shown]]:
         if "groove" in shown:
             lines.append(([picturefigures.groove_snapshot(shown["groove"])], ("groove",)))
         if "sandwave" in shown:
-            line = shown["sandwave"]
-            column = picturefigures.lit_column(line)
-            snapshot = picturefigures.sandwave_snapshot(line, column)
-            intensities = picturefigures.column_intensities(line.images, column)
-            lines.append(([snapshot, intensities], ("sandwave",)))
+            lines.append((_sandwave_lines(shown["sandwave"]), ("sandwave",)))
     if sandwave is not None:
         of_both = ("board", "sandwave")
         sections["The surface"] = [(_surface(sandwave), of_both)]
         sections["Slices"] = [(_slices(sandwave, bars.sandwave_mm), of_both)]
     sections["Sensitivity of the fits"] = [(sensitivity, ("board",))]
     return sections
+
+
+def _sandwave_lines(shown: LinePictures) -> list[ReportFigure]:
+    column = picturefigures.lit_column(shown)
+    return [
+        picturefigures.sandwave_snapshot(shown, column),
+        picturefigures.column_intensities(shown.images, column),
+    ]
 
 
 def _surface(sandwave: SandwaveMeasures) -> list[ReportFigure]:

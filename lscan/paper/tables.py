@@ -175,7 +175,7 @@ def _table_by_method(
 
     order = [*(n for n in LABELS if n in by_map), *(n for n in by_map if n not in LABELS)]
     ours = {name: by_map[name] for name in order}
-    theirs = {name: _printed_lengths(name, printed, ours[name]) for name in order}
+    theirs = {name: _printed_by(name, printed, ours[name]) for name in order}
     features = dict.fromkeys(feature for lengths in ours.values() for feature in lengths)
     return ReportTable(
         **_words(key, bars),
@@ -214,9 +214,7 @@ def _words(key: str, bars: Bars) -> dict[str, Any]:
     return {**words, "key": key, "caption": words["caption"].format(bars=bars)}
 
 
-def _printed_lengths(
-    name: str, printed: PrintedTable, ours: Lengths
-) -> Mapping[str, PrintedLength]:
+def _printed_by(name: str, printed: PrintedTable, ours: Lengths) -> Mapping[str, PrintedLength]:
     """The paper's lengths by the fit that our map ``name`` stands for, of the same features."""
     if name not in _METHODS:
         return {}

@@ -210,9 +210,7 @@ class ScannerResponse:
         along_y, along_x : array or float, rad/cm
         """
         along_y, along_x = np.asarray(along_y), np.asarray(along_x)
-        passed = np.mean(
-            [self._gain_of_sheet(along_y + k * along_x) ** 2 for k in self.aside], axis=0
-        )
+        passed = np.mean([self._sheet_gain(along_y + k * along_x) ** 2 for k in self.aside], axis=0)
         passed = passed * np.exp(-((along_x * self.blur_cm) ** 2))
         passed = passed * np.sinc(along_x * self.pixel_cm / (2 * np.pi)) ** 2
         if self.corrected_px:
@@ -220,7 +218,7 @@ class ScannerResponse:
         halves = (along * self.cell_cm / 2 for along in (along_y, along_x))
         return np.asarray(passed * _gain_of_quadratic(*halves) ** 2)
 
-    def _gain_of_sheet(self, across: Floats) -> Floats:
+    def _sheet_gain(self, across: Floats) -> Floats:
         """Gain of the amplitude of waves of so many rad/cm across the sheet, along a sight."""
         if self.reading is not None:
             return self.reading.at(across * self.sheet_cm)

@@ -30,7 +30,7 @@ from lscan.stripe.api import Extractor, Picture, require_stripe, stripes_by, tak
 from lscan.stripe.corrections import correct_blur, smooth
 from lscan.stripe.peaks import (
     batch_by_kind,
-    clipped_entries,
+    clipped_near,
     core_flux,
     doubt_beside_edge,
     join_stripes,
@@ -157,15 +157,13 @@ def shared_columns(seen: Sequence[SeenLine]) -> list[int]:
     ----------
     seen : sequence of SeenLine, of one picture each, in which some columns have a value
     """
-    scales = [
-        line_width(light, at := _columns_with_value(one), crest[at]) for one, light, crest in seen
-    ]
+    scales = [line_width(light, at := _known_columns(one), crest[at]) for one, light, crest in seen]
     widths = _variances(seen, [max(scale, _FINEST_PX) for scale in scales]) if seen else []
     each = zip(seen, widths, scales, strict=True)
     return [_lag(stripe, width, scale) for (stripe, *_), width, scale in each]
 
 
-def _columns_with_value(stripe: Stripe) -> Ints:
+def _known_columns(stripe: Stripe) -> Ints:
     return np.flatnonzero(has_value(stripe.status))
 
 
@@ -202,7 +200,7 @@ def _variances(seen: Sequence[SeenLine], scales: Sequence[float]) -> list[Floats
     A weight about the middle m is that about 0 times exp(m k / s²) at the pixel k, but for a factor
     that all have in common, and so for none: of the weights about 0 powers of a number are left.
     """
-    valued = [_columns_with_value(stripe) for stripe, *_ in seen]
+    valued = [_known_columns(stripe) for stripe, *_ in seen]
     ends = np.cumsum([len(at) for at in valued])
     centre = np.concatenate([one.centre_px[at] for (one, *_), at in zip(seen, valued, strict=True)])
     row = np.rint(centre).astype(int)
@@ -482,10 +480,10 @@ def _mark_saturated(stripe: Stripe, clipped: Mask, white: Mask | None, span_px: 
     gave an entry as SATURATED has allowed for that itself, but not for white crests (N, L), whose
     light is made up.
     """
-    at = clipped_entries(stripe, clipped, span_px)
+    at = clipped_near(stripe, clipped, span_px)
     if len(at) == 0:
         return stripe
-    made_up = at[:0] if white is None else clipped_entries(stripe, white, span_px)
+    made_up = at[:0] if white is None else clipped_near(stripe, white, span_px)
     at = at[(stripe.status[at] == Status.OK) | np.isin(at, made_up)]
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
     status[at] = Status.SATURATED

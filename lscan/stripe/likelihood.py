@@ -23,21 +23,8 @@ from lscan.stripe.fit import (
     parameters_of,
     scatter_of,
 )
-from lscan.stripe.peaks import (
-    Peaks,
-    all_windows,
-    clipped_entries,
-    nominal_peaks,
-    stripe_from,
-    windows,
-)
-from lscan.stripe.picture import (
-    Noise,
-    constant_variance,
-    noise_columns,
-    robust_variance,
-    stated_noise,
-)
+from lscan.stripe.peaks import Peaks, all_windows, clipped_near, nominal_peaks, stripe_at, windows
+from lscan.stripe.picture import Noise, constant_variance, robust_variance, sample_of, stated_noise
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
 #
@@ -137,19 +124,17 @@ def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
     ----------
     pictures : sequence of tuple, the arguments of :func:`survey` for each
     """
-    found = [_find_columns(*picture) for picture in pictures]
-    noted = [one for one in found if isinstance(one, _LineColumns)]
+    found = [_lit_columns(*picture) for picture in pictures]
+    noted = [one for one in found if isinstance(one, _LitColumns)]
     known = {
         stated: iter(_surveys_by_sample([one for one in noted if one.states_noise == stated]))
         for stated in (False, True)
     }
-    return [
-        next(known[one.states_noise]) if isinstance(one, _LineColumns) else one for one in found
-    ]
+    return [next(known[one.states_noise]) if isinstance(one, _LitColumns) else one for one in found]
 
 
 @dataclass(frozen=True)
-class _LineColumns:
+class _LitColumns:
     """What is known of the K columns with a line before any line is fitted.
 
     As in :class:`Survey`; width_px: (K,) the rough width.  known_from: second differences that
@@ -172,9 +157,7 @@ class _LineColumns:
         return self.settings.noise is not None
 
 
-def _find_columns(
-    image: GreyValues, settings: StripeSection, clipped: Mask
-) -> _LineColumns | Stripe:
+def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _LitColumns | Stripe:
     """The columns with a line, or the stripe itself where there are none."""
     columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
     stripe, peaks = nominal_peaks([columns], settings)
@@ -198,10 +181,10 @@ def _find_columns(
     # About _SAMPLE columns, evenly, each with the next.
     first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
     sample = np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
-    return _LineColumns(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
+    return _LitColumns(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
 
 
-def _surveys_by_sample(found: Sequence[_LineColumns]) -> list[Survey]:
+def _surveys_by_sample(found: Sequence[_LitColumns]) -> list[Survey]:
     """The surveys of pictures with a line, from the fits to a sample of it in each.
 
     The settings of all state the noise, or of none.  It is that found before where they do, else
@@ -239,7 +222,7 @@ def _fit_samples(
     return fits, [scatter_of(fit, peaks.columns, peaks.rows) for fit, peaks in each]
 
 
-def _survey(found: _LineColumns, fit: LineFit, noise: Noise, misfit: float) -> Survey:
+def _survey(found: _LitColumns, fit: LineFit, noise: Noise, misfit: float) -> Survey:
     """The survey, with what the ``fit`` of the sample says of all columns."""
     count, start = len(found.width_px), found.start.copy()
     ln_width, tilt = (_between(fit, which, found.sample, count) for which in (LN_WIDTH, TILT))
@@ -256,11 +239,11 @@ def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
     columns that have none.
     """
     sample = _sample(len(peaks.rows))
-    sample = sample[noise_columns(len(sample))]
+    sample = sample[sample_of(len(sample))]
     height = columns.shape[1]
     reach = int(np.ceil(6 * np.median(width_px))) + 2
     if height - 2 * reach < 3:
-        return columns[noise_columns(len(columns))]
+        return columns[sample_of(len(columns))]
     seen = columns[peaks.columns[sample]]
     around = all_windows(np.concatenate([seen, seen], axis=1), height - 2 * reach)
     aside: GreyValues = around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height]
@@ -409,7 +392,7 @@ def _several(pictures: Sequence[Picture]) -> list[Stripe]:
     crests = _crests(surveyed, searches, at)
     found = map(_stripe, surveyed, fits, crests)
     return [
-        _mark_clipped(next(found), *picture) if isinstance(one, Survey) else one
+        _saturate(next(found), *picture) if isinstance(one, Survey) else one
         for one, picture in zip(seen, pictures, strict=True)
     ]
 
@@ -455,11 +438,9 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     return _several([(image, settings, clipped)])[0]
 
 
-def _mark_clipped(
-    stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask
-) -> Stripe:
+def _saturate(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The stripe with its clipped columns SATURATED."""
-    saturated = clipped_entries(stripe, clipped.T, settings.span_px)
+    saturated = clipped_near(stripe, clipped.T, settings.span_px)
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
     status[saturated] = Status.SATURATED
     if settings.noise is None:
@@ -540,4 +521,4 @@ def _stripe(seen: Survey, fit: LineFit, crest: Floats) -> Stripe:
     doubt = np.where(np.isnan(crest), 0.0, crest - offset) ** 2 / 3  # a uniform distribution's
     sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit + doubt)
     kept = fit.settled & seen.is_near(offset, sigma)
-    return stripe_from(seen.stripe, seen.peaks, offset, sigma, kept)
+    return stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)

@@ -216,9 +216,7 @@ def windows_beside(
     return np.concatenate([windows(one, here - k, row, steps) for one, here, row, k in parts])
 
 
-def stripe_from(
-    stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask
-) -> Stripe:
+def stripe_at(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:
     """The stripe with centres beside the peaks, NO_PEAK where they are not kept.
 
     Parameters
@@ -238,7 +236,7 @@ def stripe_from(
     return replace(stripe, centre_px=centre_px, sigma_px=sigma, status=status)
 
 
-def clipped_entries(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
+def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
     """Indices of the stripe's entries that have a clipped pixel near the centre.
 
     Parameters

@@ -109,7 +109,7 @@ def constant_variance(columns: GreyValues) -> float:
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     """
-    sample = columns[noise_columns(len(columns))]
+    sample = columns[sample_of(len(columns))]
     with np.errstate(invalid="ignore"):
         grey = sample.astype(np.int16)
     # Differences of bytes would overflow, those of single precision are rounded.
@@ -119,7 +119,7 @@ def constant_variance(columns: GreyValues) -> float:
     return max(robust_variance(differences, least) / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
 
 
-def noise_columns(count: int) -> slice:
+def sample_of(count: int) -> slice:
     """The columns that the noise is estimated from: 64 to 127 of them, evenly; all of fewer.
 
     Parameters

@@ -19,13 +19,7 @@ from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
 from lscan.stripe.api import Extractor, Picture, Several, on_integers, together
 from lscan.stripe.fit import LineWindows, lines, parameters_of
 from lscan.stripe.likelihood import Survey, survey
-from lscan.stripe.peaks import (
-    batch_by_kind,
-    nominal_peaks,
-    split_stripe,
-    stripe_from,
-    windows_beside,
-)
+from lscan.stripe.peaks import batch_by_kind, nominal_peaks, split_stripe, stripe_at, windows_beside
 from lscan.stripe.picture import Noise, line_noise
 
 
@@ -77,7 +71,7 @@ def extractor(rule: Rule) -> Extractor:
         offset, _ = rule(_lit(seen, light))
         sigma = _sigma(rule, seen, ground, light, np.nan_to_num(offset))
         kept = seen.is_near(offset, sigma)
-        return stripe_from(seen.stripe, seen.peaks, offset, sigma, kept)
+        return stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)
 
     del extract.__wrapped__  # its signature is an extractor's, not the rule's
     return on_integers(extract)
@@ -207,7 +201,7 @@ def _alike(
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
-    found = stripe_from(stripe, peaks, offset, np.sqrt(variance_px), kept)
+    found = stripe_at(stripe, peaks, offset, np.sqrt(variance_px), kept)
     return split_stripe(found, len(pictures))
 
 

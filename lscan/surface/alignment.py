@@ -531,9 +531,7 @@ class AlignmentFile(Strict):
 
     def alignment(self) -> Alignment:
         """As the program holds it."""
-        modes = (
-            np.hstack([self.by_calibration, _covariance_root(self.covariance)]) / IN_FILE[:, None]
-        )
+        modes = np.hstack([self.by_calibration, _root(self.covariance)]) / IN_FILE[:, None]
         return Alignment(
             yaw_rad=float(np.radians(self.yaw_deg)),
             yaw_sigma_rad=float(np.linalg.norm(modes[YAW])),
@@ -618,7 +616,7 @@ def _scales(covariance: Floats) -> Floats:
     return np.outer(sigma, sigma)
 
 
-def _covariance_root(covariance: Floats) -> Floats:
+def _root(covariance: Floats) -> Floats:
     """(P, P) matrix whose product with its transpose is the covariance; it may be singular."""
     scales = _scales(covariance)
     values, vectors = np.linalg.eigh(covariance / scales)

@@ -311,9 +311,9 @@ def load_surface(path: Path | str) -> Surface:
         raise InputError("status: holds what is no status", where=path)
     if not np.isfinite(arrays["position"]).all():
         raise InputError("position: is not known of each profile", where=path)
-    xyz, status = np.stack([arrays[name] for name in "xyz"], axis=-1), arrays["status"]
-    status = status.astype(np.int64)
-    there = has_value(status) & np.isfinite(xyz).all(axis=-1)
+    xyz = np.stack([arrays[name] for name in "xyz"], axis=-1)
+    codes = arrays["status"].astype(np.int64)
+    there = has_value(codes) & np.isfinite(xyz).all(axis=-1)
     for name in ("x_sigma", "y_sigma", "z_sigma"):
         if name in arrays and not (arrays[name][there] >= 0).all():
             raise InputError(f"{name}: is no uncertainty at a point that has a value", where=path)
@@ -326,7 +326,7 @@ def load_surface(path: Path | str) -> Surface:
         sigma_x_mm=arrays["x_sigma"],
         sigma_z_mm=arrays["z_sigma"],
         # Another program may have taken a point's x, y or z away.
-        status=np.where(has_value(status) & ~there, Status.NO_DATA, status),
+        status=np.where(has_value(codes) & ~there, Status.NO_DATA, codes),
         position_mm=arrays["position"],
         frame=cast(Literal["head", "workpiece"], frame),
         modes_mm=arrays["modes"].astype(np.float32) if "modes" in arrays else None,

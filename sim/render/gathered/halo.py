@@ -94,8 +94,8 @@ def scatter_kernel(spread: Spread, extinction_per_mm: float, smallest_rad: float
     light = _irradiance(spread, extinction_per_mm, angle)
     moved = _irradiance(spread, extinction_per_mm, angle * SHIFT)
     weights, other = (
-        _fit_coefficients(angle, sigmas, light),
-        _fit_coefficients(angle, sigmas, moved),
+        _coefficients(angle, sigmas, light),
+        _coefficients(angle, sigmas, moved),
     )
     ratio = np.median(other[..., 0] / weights[..., 0], axis=(0, 1))
     return ScatterKernel(sigmas, weights, np.log(np.maximum(ratio, 1e-3)) / np.log(SHIFT))
@@ -116,7 +116,7 @@ def _irradiance(spread: Spread, extinction: float, angle: Floats) -> Floats:
     return np.stack([light.mean(axis=-1), 2 * (light * np.cos(chi)).mean(axis=-1)], axis=-1)
 
 
-def _fit_coefficients(angle: Floats, sigmas: Floats, light: Floats) -> Floats:
+def _coefficients(angle: Floats, sigmas: Floats, light: Floats) -> Floats:
     """(R, C, L, HARMONICS) coefficients; errors count relative to the light's mean."""
     x = angle[:, np.newaxis] / sigmas
     weights = []
