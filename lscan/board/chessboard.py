@@ -28,7 +28,7 @@ from lscan.board.picture import (
     fit_centres,
     noise_of,
 )
-from lscan.board.search import NEXT, Nodes, find_crosses, local_pitch, moved, seeded, spread
+from lscan.board.search import NEXT, Nodes, find_crosses, local_pitch, seed_nodes, shift_by, spread
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
@@ -106,7 +106,7 @@ def _grow_lattice(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
         return corners, corners.round & near & inside & sharp
 
     nodes = Nodes.empty(2 * most + 1, 2 * most + 1)
-    where, square = seeded((most, most), seeds)
+    where, square = seed_nodes((most, most), seeds)
     nodes.put(where, *seek(seeds, square, np.full((3, 2), np.inf)))
     spread(nodes, seek, BOX)
     return nodes
@@ -283,7 +283,7 @@ def _alternating_squares(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
         return np.asarray(map_coordinates(smooth, at, order=1, cval=np.nan), dtype=float)
 
     in_middle = grey(middle)
-    around = np.stack([moved(in_middle, row, column) for row, column in NEXT])
+    around = np.stack([shift_by(in_middle, row, column) for row, column in NEXT])
     known = np.isfinite(around)
     beside = np.where(known, around, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     row, column = np.indices(in_middle.shape)

@@ -154,7 +154,7 @@ def local_map(points: Floats, pitch_mm: float) -> LocalMap:
     return LocalMap(board[known], points[known], pitch_mm)
 
 
-def completed(nodes: Nodes, pitch_mm: float) -> Floats:
+def complete_nodes(nodes: Nodes, pitch_mm: float) -> Floats:
     """(R, C, 2) px of all nodes: the dots found, and where the others would be.
 
     Next to a dot found, the local polynomials give it; further out equal steps are taken,
@@ -430,7 +430,7 @@ def fault_of(picture: BoardPicture, nodes: Nodes, grid: Grid) -> str | None:
     if min(part.height.shape) < 3:
         return f"the {count} dots found lie in fewer than three rows or columns"
     radius_px = float(np.nanmedian(local_pitch(part.points))) * dot_part(grid) / 2
-    expected = int(picture.wholly_in_view(completed(part, grid.pitch_mm), radius_px).sum())
+    expected = int(picture.wholly_in_view(complete_nodes(part, grid.pitch_mm), radius_px).sum())
     if count < FEWEST_PART * expected:
         return f"only {count} of the {expected} dots that should be in view were found"
     misfit = float(np.median(local_map(part.points, grid.pitch_mm).misfit()))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lscan.board.lattice import (
     LocalMap,
-    completed,
+    complete_nodes,
     dot_part,
     drop_islands,
     drop_outliers,
@@ -33,8 +33,8 @@ from lscan.board.picture import (
     fit_centres,
     noise_of,
     prepare,
-    reduced,
     reduction_of,
+    shrink,
     stand_alone,
     window_sigma,
 )
@@ -195,11 +195,11 @@ def _share_found(reading: BoardReading) -> float:
 
 def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board) -> BoardReading:
     """The dots measured again on the board's place for them, and all other marks."""
-    mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
+    mapping = local_map(complete_nodes(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     noise = noise_image(bright, nodes, _median_radius(nodes, board.grid))
     picture = replace(picture, noise=picture.gain * noise)
     nodes = _remeasure(picture, nodes, mapping, board)
-    mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
+    mapping = local_map(complete_nodes(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
     reading = BoardReading(
         image_size=picture.size,
@@ -231,7 +231,7 @@ def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
     """Seeds to begin with; of a large picture, those that a smaller copy shows come first."""
     reduction = reduction_of(bright)
     if reduction > 1:
-        small = reduced(bright, reduction)
+        small = shrink(bright, reduction)
         with suppress(BoardNotFound):  # dots may be too small in it
             for seeds in propose_seeds(small, board, noise_of(small)):
                 yield (seeds + 0.5) * reduction - 0.5
@@ -281,7 +281,7 @@ def _remeasure(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, board: Bo
     again = Nodes.empty(*nodes.height.shape)
     sigma_px = centres.sigma_px
     if not (board.ruler or board.dot or board.ring):  # nothing else is between the dots
-        every = completed(nodes, grid.pitch_mm)
+        every = complete_nodes(nodes, grid.pitch_mm)
         sigma_px = sigma_px * grain(picture, every, _median_radius(nodes, grid))[nodes.found]
     measured = replace(centres, points=centres.points - shift, sigma_px=sigma_px)
     sure = sigma_px <= UNSURE * map_there.scale * grid.pitch_mm

@@ -447,7 +447,7 @@ def as_text(value: Any) -> str | None:
     return value.rstrip("\0") if isinstance(value, str) else None
 
 
-def unpacked(array: NetcdfArray, where: str) -> Floats:
+def unpack(array: NetcdfArray, where: str) -> Floats:
     """The numbers that are meant: of packed ones those they stand for, NaN where one is missing.
 
     Parameters

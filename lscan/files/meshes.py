@@ -72,7 +72,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if np.abs(mesh.vertices).max() > FURTHEST_MM:
         allowed = f"{FURTHEST_MM:g} mm from the origin at most"
         raise InputError("has vertices too far away", where=path, allowed=allowed)
-    vertices, faces, kept = merged(mesh.vertices, mesh.faces)
+    vertices, faces, kept = weld_mesh(mesh.vertices, mesh.faces)
     if again := len(mesh.faces) - len(faces):
         mesh.metadata[TWICE] = f"repeats triangles, which count once: {again}"
     if mesh.visual.kind == "vertex":
@@ -81,7 +81,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False, metadata=mesh.metadata)
 
 
-def merged(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
+def weld_mesh(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
     """The vertices that faces have, each place once, in their order, the faces of them, and which.
 
     Of faces with the same corners the first is kept: a copy would close the border of an open mesh,

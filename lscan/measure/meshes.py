@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from lscan.errors import InputError, MeasurementError
 from lscan.figures.style import FIRST, INK, SECOND, WIDTH_IN, png, styled
 from lscan.files.disk import write_atomically
-from lscan.files.meshes import merged
+from lscan.files.meshes import weld_mesh
 from lscan.measure.shapes import ShapeTerms, fit_shape, measured_points
 from lscan.records import Floats, Ints, Mask, Surface
 
@@ -86,7 +86,7 @@ class MeshSearch:
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self._vertices, joined, _ = merged(np.asarray(mesh.vertices, dtype=float), mesh.faces)
+        self._vertices, joined, _ = weld_mesh(np.asarray(mesh.vertices, dtype=float), mesh.faces)
         faces: NDArray[np.int32] = joined.astype(np.int32)
         del joined  # 120 MB of five million triangles
         area = np.concatenate([trimesh.triangles.area(self._vertices[f]) for f in _chunks(faces)])

@@ -32,13 +32,13 @@ from lscan.records import BoardReading, Bytes, Floats, Status, Stripe, has_value
 _TABLE = packaged_table("lscan.paper", "figures.toml")
 
 
-def drawn(name: str, figure: Figure, /, **found: object) -> ReportFigure:
+def figure_of(name: str, figure: Figure, /, **found: object) -> ReportFigure:
     """The drawn figure with the words of that name, ``found`` put into them."""
     words = words_of(name, **found)
     return ReportFigure(**words, body=style.svg(figure, words["key"], words["alt"]))
 
 
-def photographed(name: str, image: Bytes, overlay: str = "", /, **found: object) -> ReportFigure:
+def photo_of(name: str, image: Bytes, overlay: str = "", /, **found: object) -> ReportFigure:
     """The picture as ``style.photograph`` has it, with the words of that name."""
     words = words_of(name, **found)
     return ReportFigure(**words, body=style.photograph(image, overlay, words["alt"]))
@@ -134,7 +134,7 @@ def board_picture(image: Bytes, reading: BoardReading) -> ReportFigure:
     step = np.linalg.norm(np.diff(lattice, axis=1), axis=2)
     rows = step[np.isfinite(step).any(axis=1)]
     pitch = {"top": np.nanmean(rows[0]), "bottom": np.nanmean(rows[-1])}
-    return photographed("board", image, width=width, height=height, pitch=reading.pitch_mm, **pitch)
+    return photo_of("board", image, width=width, height=height, pitch=reading.pitch_mm, **pitch)
 
 
 def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
@@ -146,7 +146,7 @@ def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
         asked = sum(len(ruler.marks.status) for ruler in reading.rulers)
         found += f" and {seen} of {asked} marks of {len(reading.rulers)} rulers"
     outside = int((grid.status == Status.OUT_OF_VIEW).sum())
-    return photographed(
+    return photo_of(
         "control-points",
         draw_overlay(image, reading),
         found=found,
@@ -172,7 +172,7 @@ def line_fits(row: RowFits) -> ReportFigure:
         panel.invert_yaxis()
     axes[-1].set_xlabel("u / px")
     fits = ", ".join(title for title, _ in FITS.values())
-    return drawn("line-fits", figure, fits=fits, distances="; ".join(notes))
+    return figure_of("line-fits", figure, fits=fits, distances="; ".join(notes))
 
 
 def _mark(panel: Axes, points: Floats, colour: str = style.INK) -> None:
@@ -208,7 +208,7 @@ def sensitivity(row: RowFits, name: str, paper: str) -> ReportFigure:
     differences.set_ylabel("change of v / px")
     differences.set_xlabel("u / px")
     sign = 1.0 if abs(change.max()) >= abs(change.min()) else -1.0
-    return drawn(
+    return figure_of(
         "sensitivity",
         figure,
         plane_map=name,
@@ -241,7 +241,9 @@ def ruler(curve: DrawnConversion) -> ReportFigure:
     axes.set_ylabel("z / mm")
     scale = np.abs(np.gradient(curve.curve_mm, curve.curve_px))
     marks = len(curve.marks_px)
-    return drawn("ruler", figure, at=curve.at_mm, marks=marks, least=scale.min(), most=scale.max())
+    return figure_of(
+        "ruler", figure, at=curve.at_mm, marks=marks, least=scale.min(), most=scale.max()
+    )
 
 
 # Figures of the laser line: snapshots with the stripe found, and one column's intensities.
@@ -255,7 +257,7 @@ _COLOURS = (style.FIRST, style.SECOND, style.THIRD)
 def groove_snapshot(pictures: LinePictures) -> ReportFigure:
     """The laser line on the grooved block (Fig. 21)."""
     stripe = pictures.stripe
-    return photographed("groove", pictures.images[0], _line_spots(stripe), line=_describe(stripe))
+    return photo_of("groove", pictures.images[0], _line_spots(stripe), line=_describe(stripe))
 
 
 def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
@@ -266,7 +268,7 @@ def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
     image, stripe = pictures.images[0], pictures.stripe
     dashes = f'd="M{column},0V{image.shape[0]}" stroke-width="0.8" stroke-dasharray="4 4"'
     overlay = f'{_line_spots(stripe)}<path {dashes} stroke="{_COLUMN}"/>'
-    return photographed("sandwave", image, overlay, line=_describe(stripe), column=column)
+    return photo_of("sandwave", image, overlay, line=_describe(stripe), column=column)
 
 
 def _line_spots(stripe: Stripe) -> str:
@@ -319,7 +321,7 @@ def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
     close.set_title("(b) near the peak")
     style.legend(whole)
     whole.set_xlim(0, len(reds[0]) - 1)
-    return drawn(
+    return figure_of(
         "intensities",
         figure,
         column=column,

@@ -27,7 +27,7 @@ from lscan.files.containers import (
     in_mm,
     netcdf_bytes,
     open_hdf5,
-    unpacked,
+    unpack,
 )
 from lscan.files.disk import open_regular, read_bytes, write_atomically
 from lscan.records import Floats, Mask, Provenance, Status, Surface, has_value
@@ -189,7 +189,7 @@ def _physical_values(name: str, array: NetcdfArray, order: Mapping[str, int], pa
             raise InputError(f"{key}: of another quantity", where=where, value=value, allowed=ours)
     if name == "status":
         _require_our_codes(attributes, where)
-    values = unpacked(array, where)
+    values = unpack(array, where)
     if name != "status":
         values = in_mm(values, as_text(attributes.get("units")), where)
     places = [order.get(dimension, len(DIMENSIONS)) for dimension in array.dimensions]

@@ -15,7 +15,7 @@ from sim.meshes.board import board_parts
 from sim.meshes.parts import (
     Finish,
     MeshPart,
-    moved,
+    move_part,
     picture_paint,
     plain_mesh,
     reflectance_at,
@@ -46,7 +46,7 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
         As ``target_parts``.
     """
     pose = target_pose(scene)
-    parts = [moved(part, pose) for part in target_parts(scene)]
+    parts = [move_part(part, pose) for part in target_parts(scene)]
     floor = scene.tank.floor
     if floor is not None:
         square = plain_mesh(floor_corners_mm(scene), np.array([[0, 1, 2], [0, 2, 3]]))
@@ -67,7 +67,7 @@ def target_mesh(scene: Scene) -> trimesh.Trimesh:
         As ``target_parts``.
     """
     pose = target_pose(scene)
-    meshes = [moved(part, pose).mesh for part in target_parts(scene)]
+    meshes = [move_part(part, pose).mesh for part in target_parts(scene)]
     return trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh()
 
 

@@ -507,10 +507,10 @@ def _samples(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> AmbientSam
         wanted = candidates[Interpolation(nodes, index, candidates).residual(sky) > UNEVEN]
         if not wanted.size:
             break
-    return joined(found)
+    return join_samples(found)
 
 
-def joined(some: Sequence[AmbientSamples]) -> AmbientSamples:
+def join_samples(some: Sequence[AmbientSamples]) -> AmbientSamples:
     """All samples together.
 
     Parameters
@@ -539,7 +539,7 @@ def trace_all(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints)
     index : array, of the nodes, one at least
     """
     batches = np.array_split(index, -(-len(index) * DIRECTIONS // BATCH))
-    samples = joined([_trace(scene, lattice, water, part) for part in batches])
+    samples = join_samples([_trace(scene, lattice, water, part) for part in batches])
     return select(samples, samples.open > 0)
 
 

@@ -32,10 +32,10 @@ from sim.sensor.noise import (
 )
 from sim.sensor.radiometry import (
     AMBIENT_NM,
+    add_speckle,
     photons_per_radiance,
     speckle_contrast,
     speckle_pattern,
-    speckled,
     vignetting,
 )
 
@@ -164,7 +164,7 @@ class Webcam:
         contrast = self._contrast(nm)
         if contrast:
             # A new pattern for each picture: the head moves between them.
-            laser = speckled(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
+            laser = add_speckle(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
             laser += self._photons(layers.scattered, exposure_ms, nm)
         else:
             laser = self._photons(layers.laser, exposure_ms, nm)

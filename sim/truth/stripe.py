@@ -108,7 +108,7 @@ def standing_truth(
         return _fill(count, column, values[best], missing)
 
     status = entries(np.where(good, Status.OK, Status.OCCLUDED), Status.NO_PEAK)
-    continues = continued(found, best, status)
+    continues = is_continued(found, best, status)
     x, y, z = (entries(coordinate, np.nan) for coordinate in points.T)
     return StripeTruth(
         position_mm=position_mm,
@@ -176,7 +176,7 @@ def _project_ends(scene: Scene, sheet: TrueSheet, section: TargetSection) -> Flo
     return found
 
 
-def continued(found: ColumnCrossings, best: Ints, status: Ints) -> Mask:
+def is_continued(found: ColumnCrossings, best: Ints, status: Ints) -> Mask:
     """(N,) as in StripeTruth; best: the crossing that each column of ``found`` takes.
 
     Between two columns a smooth line that bends one way climbs by no less than the one of its

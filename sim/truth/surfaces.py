@@ -113,10 +113,10 @@ def bowed_section(corners: Floats, bow: Bow) -> Floats:
     rectangle = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
     halves = np.array([[0, 1, 2], [0, 2, 3]])
     pieces = (bowed_pieces(origin + rectangle @ plane, halves, bow) - origin) @ plane.T
-    return (origin + clipped(pieces, outline) @ plane)[..., [0, 2]]
+    return (origin + clip(pieces, outline) @ plane)[..., [0, 2]]
 
 
-def clipped(pieces: Floats, outline: Floats) -> Floats:
+def clip(pieces: Floats, outline: Floats) -> Floats:
     """(L, 2, 2) the parts of straight pieces (M, 2, 2) inside a (K, 2) polygon."""
     parts = shapely.get_parts(shapely.intersection(shapely.linestrings(pieces), area(outline)))
     lines = parts[shapely.get_type_id(parts) == shapely.GeometryType.LINESTRING]

@@ -84,7 +84,7 @@ def jpeg_file(packet: Bytes) -> bytes | None:
     return None if end is None else data[:end]
 
 
-def decoded(data: bytes | None, name: str = "the stream") -> Bytes | None:
+def decode_jpeg(data: bytes | None, name: str = "the stream") -> Bytes | None:
     """The picture of a JPEG file, (H, W, 3) uint8, blue first; None where it cannot be decoded.
 
     name: of the stream, in messages.
@@ -113,7 +113,7 @@ def is_whole(data: bytes) -> bool:
 
     Parameters
     ----------
-    data : a JPEG file, from its beginning to its end, that ``decoded`` can decode
+    data : a JPEG file, from its beginning to its end, that ``decode_jpeg`` can decode
     """
     layout = _layout(data)
     if layout is None:
@@ -262,7 +262,7 @@ class JpegStream:
         if self._count > 1 and self.file:
             return ""
         # Where the first packet is no picture, none of the others is likely one.
-        first = None if self._first is None else decoded(jpeg_file(self._first), self._name)
+        first = None if self._first is None else decode_jpeg(jpeg_file(self._first), self._name)
         return ended_early(0 if first is None else self._count)
 
     def read(self) -> tuple[bool, Any]:
@@ -276,7 +276,7 @@ class JpegStream:
             if packet is None:
                 return False, None
             file = jpeg_file(packet)
-            image = decoded(file, self._name)
+            image = decode_jpeg(file, self._name)
             if file is not None and image is not None:
                 self.file = file
                 return True, image

@@ -26,7 +26,7 @@ from sim.render.ambient import (
     NodeLattice,
     box_about,
     is_convex,
-    joined,
+    join_samples,
     like_places,
     one_a_cell,
     reflectance,
@@ -268,7 +268,7 @@ def _patches(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> AmbientSam
     sky = Interpolation(nodes, first.index, inside).of(first.open)
     shaded = np.setdiff1d(inside[sky < 1 - SHADED], coarse)
     more = _thin(lattice, shaded, MOST_PATCHES - len(coarse))
-    return joined([first, trace_all(scene, lattice, water, more)]) if more.size else first
+    return join_samples([first, trace_all(scene, lattice, water, more)]) if more.size else first
 
 
 def _thin(lattice: NodeLattice, among: Ints, most: int) -> Ints:

@@ -12,7 +12,7 @@ from integrator_cases import DRY, make_sheet, one_lobe
 
 from lscan.records import Floats
 from sim.meshes import MeshPart, scene_parts
-from sim.meshes.parts import moved, plain_mesh
+from sim.meshes.parts import move_part, plain_mesh
 from sim.render.ambient import reflectance
 from sim.render.gathered.line import (
     OFF,
@@ -78,7 +78,7 @@ class Corner:
     def __init__(
         self, *parts: MeshPart, pose: Pose = HERE, laser: Laser = LASER, water: object = DRY
     ) -> None:
-        parts = tuple(moved(part, pose) for part in parts)
+        parts = tuple(move_part(part, pose) for part in parts)
         shapes = {f"{k}": mitsuba_shape(part, 1.33) for k, part in enumerate(parts)}
         self.scene, self.pose = mi.load_dict({"type": "scene", **shapes}), pose
         integrator = SheetIntegrator(mi.Properties())
