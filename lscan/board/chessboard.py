@@ -1,8 +1,7 @@
 """The corners of chessboards and of ChArUco boards, each with its uncertainty.
 
-OpenCV finds the corners, and the picture decides which they are (chesslattice.py); their places
-are measured here as saddles of a polynomial weighted by a Gaussian (centre.py), which also gives
-their uncertainty.
+OpenCV finds the corners, and the picture decides which they are; their places are measured here as
+saddles of a polynomial weighted by a Gaussian (picture.py), which also gives their uncertainty.
 
 An ideal corner lies in the same place under windows of any size.  A real one does not: the
 paper bends, ink spreads, movement and coding smear the squares by unlike amounts.  What two
@@ -37,9 +36,8 @@ from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
 #
 # Every saddle of the smoothed picture may be a corner.  One with four others about it, like the
 # middle of a cross, begins; the displacement from corner to corner predicts the next, where a
-# saddle
-# is looked for, until none is left.  So all corners of the board are found, those that slivers of
-# further squares make at its rim included.
+# saddle is looked for, until none is left.  So all corners of the board are found, those that
+# slivers of further squares make at its rim included.
 
 
 SCALES_PX = (1.5, 3.0, 6.0)  # of the smoothing: squares of 8 to 200 px show in one of them
@@ -117,7 +115,7 @@ def _grow_lattice(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
 # OpenCV's two detectors differ in what they miss.  Beside slivers of further squares at the rim of
 # a board the newer one may skip a row, and it draws at random.  So its numbers are drawn from one
 # seed, the older one is asked where the newer one's answer is not perfect, and where neither has
-# one the corners are sought from one to the next (saddles.py).  An answer counts only if the
+# one the corners are sought from one to the next (above).  An answer counts only if the
 # picture bears it out: the steps from corner to corner are even, and the squares between the
 # corners and about them are dark and bright in turn.
 

@@ -277,7 +277,7 @@ def _first(spare: int, first: bool, last: bool, what: str, whole: int, found: in
 #
 # Perspective and distortion do not keep middles: the near half of a tilted disc covers more of the
 # picture than the far half.  The centre of a mark is found as the maximum of the smoothed picture
-# (centre.py), so the same is done here with the disc as the local map draws it: its first and
+# (picture.py), so the same is done here with the disc as the local map draws it: its first and
 # second derivatives, J and Q, place the disc's points at J x + Q(x, x) / 2 with the area det(J + Q
 # x).  To leading order the shift grows as Q times the square of the radius (Heikkilä, IEEE Trans.
 # PAMI 22, 10, 2000, gives that of the ellipse's centre under perspective).

@@ -135,7 +135,7 @@ def _read_marks(
 #
 # The paper picks them by hand in an enlarged picture.  Here the predicted line is crossed by radial
 # profiles, and each profile's maximum is that of a second-order polynomial, weighted by a Gaussian
-# about itself, as for the dots (centre.py), in one dimension.
+# about itself, as for the dots (picture.py), in one dimension.
 #
 # Blur draws the ridge of a curved line inwards: a line of curvature k blurred by a Gaussian of
 # variance B falls off as exp(-d² / 2B) / sqrt(1 + k d) with the distance d outwards, whose maximum

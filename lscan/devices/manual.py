@@ -35,7 +35,7 @@ class ManualTrack(PassiveTrack):
     def __init__(self, options: ManualOptions, ask: Ask = input) -> None:
         """Ask where the head stands now."""
         self._ask = ask
-        stands_mm = self._ask("manual track: where on its scale is the head now, in mm? ")
+        stands_mm = self._read("manual track: where on its scale is the head now, in mm? ")
         super().__init__(stands_mm, (options.min_mm, options.max_mm), options.tolerance_mm)
 
     def move_to(self, position_mm: float) -> float:
@@ -51,12 +51,12 @@ class ManualTrack(PassiveTrack):
             f"manual track: crank to {position_mm:.9g} mm, always from below; "
             "then Enter, or the scale's reading in mm, or q to stop: "
         )
-        while abs((reading_mm := self._ask(asked, position_mm)) - position_mm) > self.tolerance_mm:
+        while abs((reading_mm := self._read(asked, position_mm)) - position_mm) > self.tolerance_mm:
             asked = f"{reading_mm:g} mm is more than {self.tolerance_mm:g} mm off; {text}"
         self.position_mm = reading_mm
         return reading_mm
 
-    def _ask(self, text: str, default_mm: float | None = None) -> float:
+    def _read(self, text: str, default_mm: float | None = None) -> float:
         """The number typed; asked for again until it is one."""
         while True:
             try:

@@ -338,7 +338,9 @@ def _check_member(head: tarfile.TarInfo, begin: int, end: int, most: int, file: 
 
 # NetCDF after the CF conventions: files that every program can use, and what files of others mean.
 #
-# References ---------- Eaton et al., NetCDF Climate and Forecast (CF) Metadata Conventions, version
+# References
+# ----------
+# Eaton et al., NetCDF Climate and Forecast (CF) Metadata Conventions, version
 # 1.11: sections 2.2 (types), 2.5.1 (missing data), 3.1 (units) and 8.1 (packed data). Unidata,
 # NetCDF Users Guide, appendix A: attribute conventions; netcdf.h: values of what was not written.
 

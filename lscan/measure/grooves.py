@@ -254,7 +254,7 @@ light that clear water scatters about a line."""
 FALSE_LIGHT = 0.015
 """Standard uncertainty of an end, in columns, that no further picture lessens.  Half a percent of
 the segment's brightness, left of a halo or a lit wall where the ground beside the line is taken
-off (stripe/core.py), moves a fall over two columns by as much, outwards."""
+off (stripe/peaks.py), moves a fall over two columns by as much, outwards."""
 
 
 @dataclass(frozen=True)
@@ -375,8 +375,8 @@ def groove_dimensions(
     left out.  Its sigma_mm holds the noise of that mean and, undiminished, what errs alike in all
     profiles: the calibration, of which only the difference it makes to the length counts where the
     plane map has modes; false light at the ends, or the columns' spacing where an end's
-    brightness does not fall (ends.py); and what a level line's place within the pixel does to
-    its height (segments.py).
+    brightness does not fall; and what a level line's place within the pixel does to
+    its height.
 
     Parameters
     ----------

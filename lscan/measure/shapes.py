@@ -29,8 +29,7 @@ from lscan.surface.surface import sample
 #   the parameters by a weighted sum of what it does to the distances.
 #
 # All is of first order in the noise: the radius of a sphere grows by s²/r, 0.3 µm of 30 mm for
-# noise
-# of 0.1 mm.
+# noise of 0.1 mm.
 
 
 OUTLIER = 5.0

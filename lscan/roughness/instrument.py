@@ -25,19 +25,15 @@ from lscan.surface.surface import require_head_frame
 # What an extractor shows of waves that are as fine as the laser's sheet is thick.
 #
 # Light before and behind the sheet's middle plane meets the seabed at other heights, and an
-# extractor
-# weighs it by rules of its own: a threshold cuts a line's skirts off, and a fit by likelihood
-# under
-# speckle, whose deviation grows with the light, heeds the skirts more than a centroid does.  So
-# the
-# extractor itself is shown lines on waves, one a column, and what it says of them is the gain.
+# extractor weighs it by rules of its own: a threshold cuts a line's skirts off, and a fit by
+# likelihood under speckle, whose deviation grows with the light, heeds the skirts more than a
+# centroid does.  So the extractor itself is shown lines on waves, one a column, and what it says of
+# them is the gain.
 #
 # Light at the distance y from the middle plane appears in the picture at tau y + h(y) across the
-# line, h being the wave, and as bright as the irradiance g(y): a surface is as bright from
-# wherever
+# line, h being the wave, and as bright as the irradiance g(y): a surface is as bright from wherever
 # it is seen (lscan/surface/sheetresponse.py, of which the whole line's centroid is the closed
-# form).
-# The lens and the pixels blur that.
+# form).  The lens and the pixels blur that.
 
 
 FARTHEST = 5.0  # 2 pi k sigma, up to which the gain is found

@@ -33,8 +33,7 @@ from lscan.roughness.spectra import PowerLaw
 # Differences of a patch's cells: their periodogram, and what it is expected to be.
 #
 # The covariance of differences is the differences of the cells' own covariance, at every lag: one
-# sum
-# over wavenumbers serves all differences of a patch.
+# sum over wavenumbers serves all differences of a patch.
 
 
 Known = Callable[[Floats, Floats], Mask]

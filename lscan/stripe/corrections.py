@@ -208,7 +208,7 @@ def smooth(stripe: Stripe, smooth_px: float) -> Stripe:
     """The stripe with each centre replaced by that of a parabola fitted to its neighbours.
 
     Every column has its own local quadratic regression, weighted by the distance, the columns' own
-    sigma_px and Tukey's biweight of the residuals.  Neighbours beyond a gap or a jump (pieces.py)
+    sigma_px and Tukey's biweight of the residuals.  Neighbours beyond a gap or a jump (peaks.py)
     have no part in it, and a column with fewer than six stays as it is.
 
     sigma_px is that of the regression, for columns that err independently: neighbours within

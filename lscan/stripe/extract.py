@@ -53,7 +53,7 @@ from lscan.stripe.returns import OneReturn, choose_return, withhold
 
 # The scatter of a line's centres as the line itself shows it, from column to column.
 #
-# A model of the noise (model.py) gives every pixel an error of its own.  In the pictures of most
+# A model of the noise (picture.py) gives every pixel an error of its own.  In the pictures of most
 # cameras that does not hold: colours are filled in from neighbours, edges sharpened, blocks of
 # pixels compressed together, and the target's texture shifts the light of many columns alike.
 # Errors that pixels share average out less, and a noise estimated from how neighbouring pixels
@@ -127,7 +127,7 @@ def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     Parameters
     ----------
     stripe : Stripe, px, of N entries
-    run : (N,) array, number of the piece each entry belongs to (pieces.py), -1 for none
+    run : (N,) array, number of the piece each entry belongs to (peaks.py), -1 for none
     lag : int, columns, from which on the centres' errors are independent; lags are left out at
         which the pieces hold fewer than 32 third differences, or less than eight stretches
     """
@@ -283,8 +283,8 @@ def extract_stripe(
     contrast of the texture beside the line (edges.py).
 
     Where the settings do not state the noise, sigma_px is at least what the centres are seen to
-    scatter about their neighbours along the line (noise/along.py).  What they state does not hold
-    in a picture that was compressed as JPEG is, and is left out there (noise/coding.py).
+    scatter about their neighbours along the line.  What they state does not hold
+    in a picture that was compressed as JPEG is, and is left out there (picture.py).
 
     Parameters
     ----------

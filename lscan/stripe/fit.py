@@ -115,7 +115,7 @@ def parameters_of(
 
 # One step of Fisher's scoring for many lines at once.
 #
-# The noise of a pixel depends on its light (noise/model.py), so each step weighs the pixels by the
+# The noise of a pixel depends on its light (picture.py), so each step weighs the pixels by the
 # variance that the line fitted so far gives them.  A clipped pixel enters with the probability of
 # what it says: the light was at least this (a censored observation, Tobin 1958).
 
@@ -155,7 +155,7 @@ class LinePrior:
 
     Attributes
     ----------
-    mean : (K, 5) array, px and DN, expected parameters (crosssection.py)
+    mean : (K, 5) array, px and DN, expected parameters
     precision : (K, 5) array, 1/variance, 0 for nothing
     """
 
@@ -170,7 +170,7 @@ class LineSearch:
     Attributes
     ----------
     view : LineWindows, px and DN, of K columns; ``steps`` lie even about 0
-    start : (K, 5) array, px and DN, where the search begins (crosssection.py)
+    start : (K, 5) array, px and DN, where the search begins
     noise : Noise, of the pixels
     prior : LinePrior, of K lines
     """
@@ -264,7 +264,7 @@ class WeightedLines:
 
     Attributes
     ----------
-    jacobian : (5, n, K) array, derivative of the grey values by each parameter (crosssection.py)
+    jacobian : (5, n, K) array, derivative of the grey values by each parameter
     light : (n, K) array, DN, of the lines
     variance : (n, K) array, DN²
     weight : (n, K) array, 1/DN², of each pixel
@@ -288,7 +288,7 @@ def normal_equations(
     Parameters
     ----------
     pixels : LinePixels, px and DN, of K lines
-    parameters : (5, K) array, px and DN (crosssection.py)
+    parameters : (5, K) array, px and DN
 
     References
     ----------
@@ -393,7 +393,7 @@ class LineFit:
 
     Attributes
     ----------
-    parameters : (K, 5) array, px and DN, as in crosssection.py
+    parameters : (K, 5) array, px and DN, as of ``parameters_of``
     covariance : (K, 5, 5) array, of them
     gain : (K, n) array, px/DN, how far the centre moves with each pixel
     settled : (K,) mask, whether the search came to rest

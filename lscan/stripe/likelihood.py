@@ -66,12 +66,12 @@ class Survey:
     reach_px : (K,) array, px, how far from there the centre may lie: two widths, or the span if
         that is more, all of them in the picture
     view : LineWindows, px and DN, the pixels about the peaks
-    start : (K, 5) array, px and DN, a first guess of the line, as in crosssection.py
+    start : (K, 5) array, px and DN, a first guess of the line, as in fit.py
     ln_width : Guess, of the logarithm of the width in px
     tilt : Guess, DN/px, of the ground
     noise : Noise, of the pixels
     misfit : float, share of its light by which the line is no Gaussian; its part that is odd about
-        the centre (noise/scatter.py)
+        the centre (fit.py)
     """
 
     stripe: Stripe
@@ -345,7 +345,7 @@ def weak_precision(start: Floats) -> Floats:
 
     Parameters
     ----------
-    start : (K, 5) array, px and DN, where the line begins (crosssection.py)
+    start : (K, 5) array, px and DN, where the line begins (fit.py)
     """
     width, height = np.exp(start[:, LN_WIDTH]), np.exp(start[:, LN_HEIGHT])
     factor = np.full(len(start), np.log(20.0))
@@ -410,13 +410,13 @@ def _search(seen: Survey) -> LineSearch:
 def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line by maximum likelihood in each column of a picture.
 
-    A Gaussian averaged over each pixel on a sloping ground (crosssection.py) under reading noise,
+    A Gaussian averaged over each pixel on a sloping ground (fit.py) under reading noise,
     shot noise and speckle; a clipped pixel says "at least this".  Width and slope are free, but
     held to the median of the neighbouring columns as far as those agree with one another: where a
     column alone does not determine them, they do.
 
     sigma_px follows from Fisher's information, and from what the line differs from a Gaussian
-    alike in neighbouring columns (noise/scatter.py), carried through the fit.  Where the pixels
+    alike in neighbouring columns (fit.py), carried through the fit.  Where the pixels
     scatter about the line more than the noise explains it grows by the root of that ratio
     (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
     Where that is a column's own and the noise is stated, as beside light that ends at the line, it

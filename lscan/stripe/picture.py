@@ -175,7 +175,7 @@ def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
 
     Parameters
     ----------
-    square : (N,) array, DN², on average the variance of the noise (noise/scatter.py)
+    square : (N,) array, DN², on average the variance of the noise (fit.py)
     light : (N,) array, DN, the line's fitted grey values, 0 or more
     constant : float, DN², as in :class:`Noise`, known from elsewhere
     """
@@ -440,7 +440,7 @@ _DIPPED = 0.75  # of the excess on either side: where less is left in the middle
 _WHITER = 2.0  # times the excess: where the darkest colour's crest is so high, that is white too
 _COLOURED_DN = 16  # excess beside a crest: less is what lossy coding makes of white
 _RIM_PX = 3
-_BROAD_PX = 61  # what is wider is no line (spots.py)
+_BROAD_PX = 61  # what is wider is no line (peaks.py)
 
 _UPPER, _LEAST_LINE_DN, _SIGMAS = 0.75, 12.0, 6.0  # of faint_threshold
 
@@ -491,7 +491,7 @@ def lines_of(
     axis : str, "columns" or "rows"
     where : str, how the message names the picture
     clipping_dn : int, optional, DN, grey value at which the camera's range ends; found from the
-        picture (clipping.py) if left out
+        picture if left out
 
     Raises
     ------

@@ -37,7 +37,7 @@ _WIDE = 3.0
 it is rather one of the rows, crosses its columns 3.2 times as wide."""
 
 _SHARP = 1 / 3  # of the weight of each column's sharpest spots lies below the line's width
-_GROUND_WIDTHS = 4  # the ground of spots.py, told from lines of the width that this picture has
+_GROUND_WIDTHS = 4  # the ground of peaks.py, told from lines of the width that this picture has
 _LEAST_GROUND_PX = 13
 _SHARE = 0.02  # of the columns: more with texture are no accident
 _CROWD = 3.0  # spots a column: more than a line, its reflection, and a speck
@@ -277,11 +277,11 @@ def flatten(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tu
 # Which line is meant where a column of the picture holds several.
 #
 # A second laser, a mirror that shows the line again, a bright speck: each draws a line or a blob of
-# its own.  Every column is cut into the spots that stand out of it (spots.py), spots of
+# its own.  Every column is cut into the spots that stand out of it (peaks.py), spots of
 # neighbouring columns are linked into runs, and runs, not pixels, are chosen between.  The spots of
 # the runs not chosen are then painted over, so that an extractor that looks at one column at a time
-# sees one line in each.  On a lit target, whose texture stands out as well, texture.py finds the
-# lines that are chosen between.
+# sees one line in each.  On a lit target, whose texture stands out as well, they are chosen between on
+# an even ground (below).
 
 
 _WEAKER = 0.35
@@ -349,7 +349,7 @@ def choose_return(
     given to the line that the run belongs to where both are seen, or that it lies nearer to;
     it is ambiguous where that is not clear.
 
-    On a lit target (texture.py), and where "first" or "last" would often be a speck, the runs are
+    On a lit target (below), and where "first" or "last" would often be a speck, the runs are
     the narrow lines that go on from column to column, and each column is laid on an even ground.
 
     Fast where ``image.T`` and ``clipped.T`` are contiguous in memory.

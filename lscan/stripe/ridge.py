@@ -33,7 +33,7 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
 
     The ridge is where the derivative across the line vanishes; across is the direction in
     which the picture bends down most, the eigenvector of its Hessian (Steger's eq. 11).
-    The Gaussian is as wide as the line (width.py), which is the matched filter for a Gaussian
+    The Gaussian is as wide as the line (peaks.py), which is the matched filter for a Gaussian
     line in white noise, and integrated over the pixels as in Steger's sec. 2.3.  Between two
     rows the derivative, divided by the picture itself, is interpolated linearly: for a
     Gaussian line that is exact, where Steger's parabola errs by a tenth of a pixel.  Within
@@ -44,7 +44,7 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     widths of the edge; NO_PEAK too where the line runs along the column.
 
     sigma_px is the pixels' noise carried through the derivative of the crossing: reading
-    noise, photons and speckle of ``settings.noise``, or what noise/model.py estimates.
+    noise, photons and speckle of ``settings.noise``, or what picture.py estimates.
     Neighbouring columns share their noise over about a line's width.  What is smoothed away where
     the line bends within its own width is no part of sigma_px.
 

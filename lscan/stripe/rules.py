@@ -4,7 +4,7 @@ A rule is judged by what it would do to the line that was there: a Gaussian of t
 neighbours' width at the place found, averaged over each pixel.  On that line it errs by a
 little even without noise (interpolation, pixels cut off), and has a derivative by each
 pixel, through which the pixels' noise reaches the centre, and so does what the real line
-differs by (noise/scatter.py).  sigma_px holds all three.
+differs by (fit.py).  sigma_px holds all three.
 """
 
 from collections.abc import Callable, Sequence
@@ -148,9 +148,9 @@ def _lit(seen: Survey, light: Floats) -> LineLight:
 # the window of ``span_px`` pixels on either side of it (Sec. V.B).  They differ only in how far
 # from the nominal peak they put the centre of the line:
 #
-# - ``maximum``: at the nominal peak itself; - ``centroid``: eq. (8) with the grey values as
-# weights; - ``centroid_relative``: eq. (8) with the smallest grey value of the window subtracted
-# first.
+# - ``maximum``: at the nominal peak itself;
+# - ``centroid``: eq. (8) with the grey values as weights;
+# - ``centroid_relative``: eq. (8) with the window's smallest grey value subtracted first.
 #
 # None of them takes account of which pixels are clipped.
 
@@ -174,7 +174,7 @@ def _alike(
     A column has a line where its highest value exceeds its median by more than
     ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
 
-    sigma_px combines the noise of the pixels (noise/model.py), carried through the derivative of
+    sigma_px combines the noise of the pixels (picture.py), carried through the derivative of
     the centre; the choice of the nominal peak; and, where the rule ``guesses_background``
     from the window, that guess.  For a Gaussian line the last two are the size of what the
     window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.

@@ -76,7 +76,7 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     """The alignment of a raw scan of the sandwave block with its workpiece frame.
 
     Edges are first taken to lie beyond the last samples on them.  Where the surface knows the
-    line's brightness, they are then found by how it fades over them (fading.py): without that
+    line's brightness, they are then found by how it fades over them (edges.py): without that
     they are off by the column, and by the sheet, whose thickness lights an edge ahead of it.
 
     The wedges' tops come to z = wedge.height_mm, the midpoint of the corners W_L and W_R to its

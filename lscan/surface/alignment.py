@@ -303,7 +303,7 @@ class Alignment:
     base_mm : float, mm, height of the base plane in the workpiece frame
     left_corner_mm, right_corner_mm : (2,) array, mm, W_L and W_R in the workpiece plan
     pivot_mm : (3,) array, mm, the corners' middle, about which the parameters of ``modes`` turn
-    modes : (7, M + 7) array, mm and rad, how the alignment errs (datum.py): with each of the
+    modes : (7, M + 7) array, mm and rad, how the alignment errs: with each of the
         surface's M modes, and with seven independent errors of its own
     sheared : bool, False where the scan was made about a shaft and so has no yaw
 
@@ -359,7 +359,7 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
 
     Parameters
     ----------
-    alignment : Alignment, found in this surface, or in another (keptalignment.py)
+    alignment : Alignment, found in this surface, or in another
     surface : Surface, frame of the head
 
     Raises
@@ -499,7 +499,7 @@ class AlignmentFile(Strict):
     """The whole file.
 
     rotation, translation_mm: as of alignment.Alignment.  covariance: of the alignment's own
-    errors, in the order of datum.py: rotations about x, y and z, yaw (degrees), shifts (mm), all
+    errors, in this order: rotations about x, y and z, yaw (degrees), shifts (mm), all
     about the pivot.  by_calibration: change of these parameters by each independent error of the
     calibration that is one standard deviation large.
     """

@@ -1,8 +1,7 @@
 """Correcting for what the sheet's thickness does to a line on a sloping or curved target.
 
-On smooth targets the first terms of a series say it exactly (concavity.py); on relief as fine as
-the sheet is thick they do not, and the relief's spectrum does better (relief.py).  In each part of
-a surface the correction with the smaller expected error is made, and what it cannot recover
+On smooth targets the first terms of a series say it exactly (sheetresponse.py); on relief as fine
+as the sheet is thick they do not, and the relief's spectrum does better.  In each part of a surface the correction with the smaller expected error is made, and what it cannot recover
 enters the uncertainty.  A wall has a wide spectrum too: where most of a surface is smooth, what the
 spectra of its other parts say is taken for walls, and the series is used.
 """
@@ -32,7 +31,7 @@ from lscan.surface.surface import require_head_frame
 #
 # The surface is taken block by block.  A block is laid along the direction d in which the
 # camera looks across the sheet (sheetresponse.py), its spectrum says which waves of the relief are
-# in what was measured (reliefspectrum.py), and a smooth estimate of the true relief is made, from
+# in what was measured (sheetresponse.py), and a smooth estimate of the true relief is made, from
 # which follows what the sheet's thickness does to it.  That is taken off the heights as measured;
 # their own noise stays theirs.
 
@@ -381,7 +380,7 @@ def correct_thickness(surface: Surface, sheet: SheetSection, yaw_rad: float = 0.
 
     References
     ----------
-    docs/explanation/concavity.md; derived in concavity.py, sheetresponse.py and reliefspectrum.py.
+    docs/explanation/concavity.md; derived in sheetresponse.py.
     """
     require_head_frame(surface)
     shift, variance, recovered = _shifts(surface, sheet, yaw_rad)

@@ -30,8 +30,7 @@ from sim.water import Optics
 
 # Nodes on the triangles of a tank, and between which of them a place lies.
 #
-# A triangle that is larger than the nodes' spacing holds a lattice along two of its sides, in
-# which
+# A triangle that is larger than the nodes' spacing holds a lattice along two of its sides, in which
 # what nodes know is bilinear; a smaller one holds one node.  Triangles that reach far beyond what
 # else stands in the tank, as a floor's, have nodes in a box about that alone.
 

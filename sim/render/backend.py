@@ -38,8 +38,7 @@ from lscan.files.disk import MOST_TEXT_BYTES, cache_folder, read_cached, write_a
 
 # Numbers below 1e-38 taken for 0, as Dr.Jit's own threads do, in the thread that calls too.
 #
-# The calling thread keeps them, and with one thread Dr.Jit has no others: light that is read as
-# the
+# The calling thread keeps them, and with one thread Dr.Jit has no others: light that is read as the
 # ratio of two faint numbers would differ with the number of threads, by up to 0.3 %.
 
 

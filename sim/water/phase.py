@@ -19,9 +19,8 @@ from sim.scene.matter import Water
 DEPOLARISATION = 0.039  # of water's molecules: Zhang, Hu & He 2009
 
 # Four Henyey-Greenstein lobes fitted to Petzold's average particle (docs/explanation/physics.md,
-# section 3):
-# within .91 to 1.13 of his table from 0.1 to 180 degrees.  One lobe fails in backscatter,
-# where many rigs look.
+# section 3): within .91 to 1.13 of his table from 0.1 to 180 degrees.  One lobe fails in
+# backscatter, where many rigs look.
 PARTICLE_WEIGHTS = (0.11984, 0.37028, 0.50780, 0.00208)
 PARTICLE_G = (0.99723, 0.98081, 0.87094, -0.59262)
 WEIGHTS_ADD_UP_WITHIN = 1e-9

@@ -31,8 +31,7 @@ from sim.water.spread import Spread
 #
 # The chart is conformal: the angle q between two directions, at z1 and z2 on the chart, is
 # 2 sin(q / 2) = |z1 - z2| c1 c2, with c the cosine of half their angle from the middle.  All its
-# rays start at one place, the point that the camera's rays pass nearest to; behind a flat port
-# they
+# rays start at one place, the point that the camera's rays pass nearest to; behind a flat port they
 # miss it by less than a millimetre.  Around the picture, from where only light that spreads widely
 # gets into it, the chart's cells are COARSER.
 
@@ -40,8 +39,7 @@ from sim.water.spread import Spread
 # What the water scatters of a surface's light into a camera's pixel: a sum of Gaussians.
 #
 # By reciprocity a pixel receives from an element of a surface what a pencil beam along the pixel's
-# ray would bring to it (sim.water.spread).  The element lies on a plane, tilted against the line
-# of
+# ray would bring to it (sim.water.spread).  The element lies on a plane, tilted against the line of
 # sight, on which the beam ends too.  About the element that light is a function of the angle q
 # between ray and element and of the azimuth chi of the tilt, R0(q) + R1(q) cos chi; what is left,
 # of cos 2 chi, is 1 % of R0 within 10 degrees and 4 % within 60.  Both are fitted by Gaussians

@@ -426,8 +426,7 @@ def _segment(
 # The sheet's light that the water scatters onto surfaces: a table in the sheet's own frame.
 #
 # Every ray of the sheet spreads as a pencil beam does in endless water (sim.water.spread).  At a
-# place (phi, rho) of the sheet's middle and the offset s from it, a plane surface with the normal
-# n
+# place (phi, rho) of the sheet's middle and the offset s from it, a plane surface with the normal n
 # receives the sum over the fan; the rays end on the surface's own plane.  Along the fan the sum is
 # over hyperbolic sines of the distance, for light between a line and a point beside it falls off
 # with the distance.  How the sum depends on n is a polynomial of the second degree, found by least

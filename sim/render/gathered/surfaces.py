@@ -54,10 +54,8 @@ from sim.water.tablecache import kept_arrays
 
 # Light that surfaces send to and fro: what a tank's patches make of the light that they receive.
 #
-# The surfaces stand still, so what patches receive of the light they all send, over every number
-# of
-# reflections, is one matrix.  Light that a line gives them varies within a patch: what is
-# reflected
+# The surfaces stand still, so what patches receive of the light they all send, over every number of
+# reflections, is one matrix.  Light that a line gives them varies within a patch: what is reflected
 # first is known at many more places, the senders.
 
 
