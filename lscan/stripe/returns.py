@@ -280,8 +280,8 @@ def flatten(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tu
 # its own.  Every column is cut into the spots that stand out of it (peaks.py), spots of
 # neighbouring columns are linked into runs, and runs, not pixels, are chosen between.  The spots of
 # the runs not chosen are then painted over, so that an extractor that looks at one column at a time
-# sees one line in each.  On a lit target, whose texture stands out as well, they are chosen between on
-# an even ground (below).
+# sees one line in each.  On a lit target, whose texture stands out as well, they are chosen between
+# on an even ground (below).
 
 
 _WEAKER = 0.35

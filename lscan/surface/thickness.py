@@ -1,9 +1,10 @@
 """Correcting for what the sheet's thickness does to a line on a sloping or curved target.
 
 On smooth targets the first terms of a series say it exactly (sheetresponse.py); on relief as fine
-as the sheet is thick they do not, and the relief's spectrum does better.  In each part of a surface the correction with the smaller expected error is made, and what it cannot recover
-enters the uncertainty.  A wall has a wide spectrum too: where most of a surface is smooth, what the
-spectra of its other parts say is taken for walls, and the series is used.
+as the sheet is thick they do not, and the relief's spectrum does better.  In each part of a surface
+the correction with the smaller expected error is made, and what it cannot recover enters the
+uncertainty.  A wall has a wide spectrum too: where most of a surface is smooth, what the spectra of
+its other parts say is taken for walls, and the series is used.
 """
 
 from collections.abc import Iterator
