@@ -231,8 +231,8 @@ class _StepModel:
 
     begin: (S + 1,) where the stretches begin, and where the last ends.  stretch: (n,).  terms:
     (L, n) of the level.  total: (n,) share of the level that is left.  brightness: (n,).  changes:
-    (A + 2, n) of total relative to itself, with the places, the width and the wall.  unknowns: as
-    of ``_unknowns``.
+    (A + 2, n) of total relative to itself, with the places, the width and the wall.  unknowns:
+    (S, A + 3) numbers of a stretch's among all, -1 for none.
     """
 
     begin: Ints
