@@ -89,7 +89,7 @@ class ReplayCamera:
         the nearest; DeviceError where the run has none.
         Raises InputError where the run folder was damaged.
         """
-        recorded = self._recorded(self._last_index - dark)
+        recorded = self._nearest_frame(self._last_index - dark)
         image = recorded.background if dark else recorded.image
         if image is None:
             raise DeviceError(f"replay camera: {self._run.path} was recorded without backgrounds")
@@ -101,14 +101,14 @@ class ReplayCamera:
 
     def preview(self) -> Grab:
         """The recorded picture, as it was; what is delivered next does not change by it."""
-        recorded = self._recorded(self._last_index)
+        recorded = self._nearest_frame(self._last_index)
         return Grab(recorded.image, recorded.time_s, recorded.exposure_ms)
 
     def close(self) -> None:
         """Nothing is held open; the camera delivers no more pictures."""
         self._closed = True
 
-    def _recorded(self, after: int) -> Frame:
+    def _nearest_frame(self, after: int) -> Frame:
         """The nearest frame; of several, the first whose index is above ``after``."""
         if self._closed:
             raise DeviceError("replay camera: is closed")

@@ -441,8 +441,8 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
     key = first_difference(was, is_now)
     if key is not None:
         raise InputError(
-            f"cannot go on: the run was begun {_in_words(key, was)}, this rig comes "
-            f"{_in_words(key, is_now)}; restore it in {now.source}, or begin a new scan",
+            f"cannot go on: the run was begun {_key_in_words(key, was)}, this rig comes "
+            f"{_key_in_words(key, is_now)}; restore it in {now.source}, or begin a new scan",
             where=where,
         )
 
@@ -524,7 +524,7 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
         yield key, repr(value)
 
 
-def _in_words(key: str, document: Mapping[str, Any]) -> str:
+def _key_in_words(key: str, document: Mapping[str, Any]) -> str:
     """The key with its value, or that it is not there, or that more than a value is."""
     leaves = dict(_leaves(document))
     if key in leaves:

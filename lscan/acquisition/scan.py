@@ -217,8 +217,10 @@ def acquire_into(
     if writer.written == writer.planned:
         return writer.finish()
     writer.keep_camera(camera)
-    if not position_restored:
-        _check_place(writer, track, positions_mm)
+    # A scan that goes on must not put its frames at shifted places.
+    if not position_restored and writer.last_mm is not None and isinstance(track, PlaceChecking):
+        next_mm, zero = positions_mm[writer.written], writer.manifest.track_zero
+        track.check_place(writer.last_mm, next_mm, zero)
     with _keeping_zero(writer, track), _scan_laser(track, writer, longest_s) as laser:
         devices = _ScanDevices(writer.rig_file.rig.camera, camera, track, laser, plan.paired)
         while writer.written < writer.planned:
@@ -229,13 +231,6 @@ def acquire_into(
                 writer.append(frame)
                 report(writer.written, writer.planned)
     return writer.finish()
-
-
-def _check_place(writer: RunWriter, track: Track, positions_mm: list[float]) -> None:
-    """Raise DeviceError where a scan that goes on might put its frames at shifted places."""
-    if writer.last_mm is not None and isinstance(track, PlaceChecking):
-        next_mm, zero = positions_mm[writer.written], writer.manifest.track_zero
-        track.check_place(writer.last_mm, next_mm, zero)
 
 
 @contextmanager
@@ -367,7 +362,7 @@ class _ScanDevices:
         """The frame taken there, checked; DeviceError where a run cannot hold it."""
         position_mm = self.track.move_to(commanded_mm)
         grab = self.camera.grab(index) if self.laser is None else self._lit(index, self.laser)
-        lit = self._checked(grab, index)
+        lit = self._check_grab(grab, index)
         background = None
         if self.paired and self.laser is not None:
             background = self._background(index, lit, self.laser)
@@ -392,7 +387,7 @@ class _ScanDevices:
     def _background(self, index: int, lit: Grab, laser: _ScanLaser) -> Bytes:
         """The same view with the laser off, which must have been taken like the lit one."""
         laser.off()
-        dark = self._checked(self.camera.grab(index, dark=True), index)
+        dark = self._check_grab(self.camera.grab(index, dark=True), index)
         for name, one, other in (
             ("shape", dark.image.shape, lit.image.shape),
             ("exposure_ms", dark.exposure_ms, lit.exposure_ms),
@@ -405,7 +400,7 @@ class _ScanDevices:
                 )
         return dark.image
 
-    def _checked(self, grab: Grab, index: int) -> Grab:
+    def _check_grab(self, grab: Grab, index: int) -> Grab:
         """The picture; DeviceError where it is not what a run folder can hold."""
         section, image = self.section, grab.image
         if image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):

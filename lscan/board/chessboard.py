@@ -1,8 +1,7 @@
 """The corners of chessboards and of ChArUco boards, each with its uncertainty.
 
-OpenCV finds the corners, and the picture decides which they are (chesslattice.py); their places
-are measured here as saddles of a polynomial weighted by a Gaussian (centre.py), which also gives
-their uncertainty.
+OpenCV finds the corners, and the picture decides which they are; their places are measured here as
+saddles of a polynomial weighted by a Gaussian (picture.py), which also gives their uncertainty.
 
 An ideal corner lies in the same place under windows of any size.  A real one does not: the
 paper bends, ink spreads, movement and coding smear the squares by unlike amounts.  What two
@@ -28,7 +27,7 @@ from lscan.board.picture import (
     fit_centres,
     noise_of,
 )
-from lscan.board.search import NEXT, Nodes, find_crosses, local_pitch, moved, seeded, spread
+from lscan.board.search import NEXT, Nodes, find_crosses, local_pitch, seed_nodes, shift_by, spread
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
@@ -37,9 +36,8 @@ from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status
 #
 # Every saddle of the smoothed picture may be a corner.  One with four others about it, like the
 # middle of a cross, begins; the displacement from corner to corner predicts the next, where a
-# saddle
-# is looked for, until none is left.  So all corners of the board are found, those that slivers of
-# further squares make at its rim included.
+# saddle is looked for, until none is left.  So all corners of the board are found, those that
+# slivers of further squares make at its rim included.
 
 
 SCALES_PX = (1.5, 3.0, 6.0)  # of the smoothing: squares of 8 to 200 px show in one of them
@@ -64,7 +62,7 @@ def corner_lattices(grey: Image, most: int) -> Iterator[Floats]:
     noise = np.full_like(grey, noise_of(grey))
     for scale in SCALES_PX:
         for seeds in _seeds(grey, scale):
-            nodes = _grown(grey, noise, seeds, most)
+            nodes = _grow_lattice(grey, noise, seeds, most)
             if nodes.found.sum() >= FEWEST_SADDLES:
                 yield nodes.part(nodes.extent()).points
 
@@ -93,7 +91,7 @@ def _saddles(grey: Image, scale_px: float) -> tuple[Floats, Floats]:
     return np.column_stack([column, row])[order].astype(float), strength[order]
 
 
-def _grown(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
+def _grow_lattice(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
     """All corners that can be reached from the seeds."""
     last = np.array(grey.shape[::-1]) - 1
 
@@ -106,7 +104,7 @@ def _grown(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
         return corners, corners.round & near & inside & sharp
 
     nodes = Nodes.empty(2 * most + 1, 2 * most + 1)
-    where, square = seeded((most, most), seeds)
+    where, square = seed_nodes((most, most), seeds)
     nodes.put(where, *seek(seeds, square, np.full((3, 2), np.inf)))
     spread(nodes, seek, BOX)
     return nodes
@@ -117,7 +115,7 @@ def _grown(grey: Image, noise: Image, seeds: Floats, most: int) -> Nodes:
 # OpenCV's two detectors differ in what they miss.  Beside slivers of further squares at the rim of
 # a board the newer one may skip a row, and it draws at random.  So its numbers are drawn from one
 # seed, the older one is asked where the newer one's answer is not perfect, and where neither has
-# one the corners are sought from one to the next (saddles.py).  An answer counts only if the
+# one the corners are sought from one to the next (above).  An answer counts only if the
 # picture bears it out: the steps from corner to corner are even, and the squares between the
 # corners and about them are dark and bright in turn.
 
@@ -170,9 +168,9 @@ def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
         Where no detector finds the corners, or the picture does not bear out what they find.
     """
     best, doubted = None, False
-    for detect in (_by_opencv, _by_saddles):
+    for detect in (_corners_by_opencv, _corners_by_saddles):
         for corners in detect(picture, columns, rows):
-            seen = _judged(picture, corners)
+            seen = _best_lattice(picture, corners)
             doubted |= seen is None
             if seen is not None and (best is None or seen.right > best.right):
                 best = seen
@@ -192,7 +190,7 @@ def find_lattice(picture: Bytes, columns: int, rows: int) -> Floats:
     )
 
 
-def _by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
+def _corners_by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
     """What OpenCV's detectors find, with random numbers from one seed, drawn by one thread."""
     threads = cv2.getNumThreads()
     for detect, flags in DETECTORS:
@@ -206,7 +204,7 @@ def _by_opencv(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
             yield np.asarray(corners, dtype=float).reshape(rows, columns, 2)
 
 
-def _by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
+def _corners_by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
     """Every complete part of that size of the lattices of saddles, either way up."""
     for lattice in corner_lattices(picture.astype(np.float32), 2 * max(rows, columns)):
         for turned in (lattice, np.rot90(lattice)):
@@ -217,7 +215,7 @@ def _by_saddles(picture: Bytes, columns: int, rows: int) -> Iterator[Floats]:
                     yield part
 
 
-def _judged(picture: Bytes, corners: Floats) -> SeenLattice | None:
+def _best_lattice(picture: Bytes, corners: Floats) -> SeenLattice | None:
     """The lattice, or the one a row or column beside it, that the squares speak for; None: none.
 
     Where further squares show in part the lattice may be found a row off: the whole squares about
@@ -227,8 +225,8 @@ def _judged(picture: Bytes, corners: Floats) -> SeenLattice | None:
     if not _is_even(corners):
         return None
     rows, columns = corners.shape[:2]
-    wide = _extended(_extended(corners))
-    middle, whole = _in_turn(picture, wide)  # (rows + 3, columns + 3)
+    wide = _with_rim(_with_rim(corners))
+    middle, whole = _alternating_squares(picture, wide)  # (rows + 3, columns + 3)
     seen = []
     for down, across in np.ndindex(3, 3):
         window = np.s_[down : down + rows + 1, across : across + columns + 1]
@@ -259,7 +257,7 @@ def _is_even(corners: Floats) -> bool:
     return True
 
 
-def _extended(corners: Floats) -> Floats:
+def _with_rim(corners: Floats) -> Floats:
     """(R + 2, C + 2, 2) the lattice with a rim about it, by equal steps."""
     for axis in (0, 1):
         p = np.moveaxis(corners, axis, 0)
@@ -268,7 +266,7 @@ def _extended(corners: Floats) -> Floats:
     return corners
 
 
-def _in_turn(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
+def _alternating_squares(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
     """(R - 1, C - 1) masks of the squares that are dark or bright as their turn is.
 
     In the middle, and also towards all four sides, as a sliver of a square is not.
@@ -283,7 +281,7 @@ def _in_turn(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
         return np.asarray(map_coordinates(smooth, at, order=1, cval=np.nan), dtype=float)
 
     in_middle = grey(middle)
-    around = np.stack([moved(in_middle, row, column) for row, column in NEXT])
+    around = np.stack([shift_by(in_middle, row, column) for row, column in NEXT])
     known = np.isfinite(around)
     beside = np.where(known, around, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     row, column = np.indices(in_middle.shape)
@@ -348,8 +346,11 @@ def read_chessboard(
         Where not all corners are seen, or a row may have been skipped.
     """
     grey = bright_marks(image, channel, "bright")
-    seen = _find_corners(_eight_bit(grey), columns, rows)
-    return _measured(grey, seen, square_mm, CORNER_WINDOW)
+    seen = find_lattice(_eight_bit(grey), columns, rows)
+    # Either end may come first: the upper row is the one higher in the picture.
+    if seen[0, :, 1].mean() > seen[-1, :, 1].mean() and (rows + columns) % 2 == 0:
+        seen = seen[::-1, ::-1]
+    return _measure_corners(grey, seen, square_mm, CORNER_WINDOW)
 
 
 def read_charuco(
@@ -401,7 +402,7 @@ def read_charuco(
     seen[np.divmod(numbers, columns)] = corners
     # A marker lies in the middle of its square: its corner is nearest, along the diagonal.
     clear = CLEAR_OF_MARKER * (1 - marker_mm / square_mm) / np.sqrt(2)
-    return _measured(grey, seen, square_mm, min(CORNER_WINDOW, clear))
+    return _measure_corners(grey, seen, square_mm, min(CORNER_WINDOW, clear))
 
 
 def _charuco_corners(picture: Bytes, board: cv2.aruco.CharucoBoard) -> tuple[Floats, Ints]:
@@ -503,16 +504,7 @@ def _eight_bit(grey: Image) -> Bytes:
     return np.rint((grey - low) * (255 / max(high - low, 1e-6))).astype(np.uint8)
 
 
-def _find_corners(picture: Bytes, columns: int, rows: int) -> Floats:
-    """(rows, columns, 2) px of the corners to about a pixel."""
-    points = find_lattice(picture, columns, rows)
-    # Either end may come first: the upper row is the one higher in the picture.
-    if points[0, :, 1].mean() > points[-1, :, 1].mean() and (rows + columns) % 2 == 0:
-        points = points[::-1, ::-1]
-    return points
-
-
-def _measured(grey: Image, lattice: Floats, square_mm: float, window: float) -> Marks:
+def _measure_corners(grey: Image, lattice: Floats, square_mm: float, window: float) -> Marks:
     """The corners ``lattice`` (rows, columns, 2) px, NaN where not seen, measured anew.
 
     window: Gaussian sigma they are seen through, of the distance between corners.

@@ -129,28 +129,28 @@ def _draw_boxes(canvas: Bytes, lattice: Floats, pitch: Floats) -> None:
             cv2.putText(canvas, f"#{number}", place, font, 0.4, SEED, 1, cv2.LINE_AA)
 
 
-def _known(points: Floats) -> Floats:
+def _known_points(points: Floats) -> Floats:
     return points[np.isfinite(points).all(axis=-1)]
 
 
-def _fixed(point: Floats) -> tuple[int, int]:
+def _fixed_point(point: Floats) -> tuple[int, int]:
     u, v = np.rint(np.asarray(point) * 2**SUBPIXEL_BITS).astype(int)
     return int(u), int(v)
 
 
 def _crosses(canvas: Bytes, points: Floats, halves: Floats, colour: Colour) -> None:
-    for point in _known(points):
+    for point in _known_points(points):
         for half in halves:
-            ends = _fixed(point - half), _fixed(point + half)
+            ends = _fixed_point(point - half), _fixed_point(point + half)
             cv2.line(canvas, *ends, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _box(canvas: Bytes, middle: Floats, half: float, colour: Colour) -> None:
-    first, last = _fixed(middle - half), _fixed(middle + half)
+    first, last = _fixed_point(middle - half), _fixed_point(middle + half)
     cv2.rectangle(canvas, first, last, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
 
 
 def _circles(canvas: Bytes, points: Floats, radius: float, colour: Colour) -> None:
     size = round(radius * 2**SUBPIXEL_BITS)
-    for point in _known(points):
-        cv2.circle(canvas, _fixed(point), size, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+    for point in _known_points(points):
+        cv2.circle(canvas, _fixed_point(point), size, colour, 1, cv2.LINE_AA, SUBPIXEL_BITS)

@@ -99,7 +99,7 @@ class LocalMap:
         across = design.transpose(0, 2, 1)
         at_place = np.broadcast_to(np.eye(6, 1), (len(index), 6, 1))
         right = np.concatenate([across @ self.image_px[index], at_place], axis=2)
-        solved = _solved(across @ design, right)  # (M, 6, 3)
+        solved = _solve(across @ design, right)  # (M, 6, 3)
         solved, leverage = solved[..., :2], solved[:, 0, 2]
         xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
         bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
@@ -108,7 +108,7 @@ class LocalMap:
         return Expansion(solved[:, 0], jacobian / self.pitch_mm, bend, leverage)
 
 
-def _solved(left: Floats, right: Floats) -> Floats:
+def _solve(left: Floats, right: Floats) -> Floats:
     """Solutions (M, 6, K) of M normal equations, left (M, 6, 6), right (M, 6, K).
 
     On a narrow board the nearest points may leave a coefficient free; it is then 0.
@@ -156,7 +156,7 @@ def local_map(points: Floats, pitch_mm: float) -> LocalMap:
     return LocalMap(board[known], points[known], pitch_mm)
 
 
-def completed(nodes: Nodes, pitch_mm: float) -> Floats:
+def complete_nodes(nodes: Nodes, pitch_mm: float) -> Floats:
     """(R, C, 2) px of all nodes: the dots found, and where the others would be.
 
     Next to a dot found, the local polynomials give it; further out equal steps are taken,
@@ -279,7 +279,7 @@ def _first(spare: int, first: bool, last: bool, what: str, whole: int, found: in
 #
 # Perspective and distortion do not keep middles: the near half of a tilted disc covers more of the
 # picture than the far half.  The centre of a mark is found as the maximum of the smoothed picture
-# (centre.py), so the same is done here with the disc as the local map draws it: its first and
+# (picture.py), so the same is done here with the disc as the local map draws it: its first and
 # second derivatives, J and Q, place the disc's points at J x + Q(x, x) / 2 with the area det(J + Q
 # x).  To leading order the shift grows as Q times the square of the radius (Heikkilä, IEEE Trans.
 # PAMI 22, 10, 2000, gives that of the ellipse's centre under perspective).
@@ -432,7 +432,7 @@ def fault_of(picture: BoardPicture, nodes: Nodes, grid: Grid) -> str | None:
     if min(part.height.shape) < 3:
         return f"the {count} dots found lie in fewer than three rows or columns"
     radius_px = float(np.nanmedian(local_pitch(part.points))) * dot_part(grid) / 2
-    expected = int(picture.wholly_in_view(completed(part, grid.pitch_mm), radius_px).sum())
+    expected = int(picture.wholly_in_view(complete_nodes(part, grid.pitch_mm), radius_px).sum())
     if count < FEWEST_PART * expected:
         return f"only {count} of the {expected} dots that should be in view were found"
     misfit = float(np.median(local_map(part.points, grid.pitch_mm).misfit()))

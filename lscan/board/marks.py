@@ -137,7 +137,7 @@ def _read_marks(
 #
 # The paper picks them by hand in an enlarged picture.  Here the predicted line is crossed by radial
 # profiles, and each profile's maximum is that of a second-order polynomial, weighted by a Gaussian
-# about itself, as for the dots (centre.py), in one dimension.
+# about itself, as for the dots (picture.py), in one dimension.
 #
 # Blur draws the ridge of a curved line inwards: a line of curvature k blurred by a Gaussian of
 # variance B falls off as exp(-d² / 2B) / sqrt(1 + k d) with the distance d outwards, whose maximum
@@ -231,7 +231,9 @@ def read_ring(
     seen &= ridges.height > np.maximum(
         FAINTEST * full, NOISE_LIMIT * noise.mean(axis=1) / np.sqrt(SPACING_PX)
     )
-    seen &= _alike(ridges.centre, seen)
+    if seen.any():  # the line lies about as far off the predicted one as in the others
+        apart = np.abs(ridges.centre - np.median(ridges.centre[seen]))
+        seen &= apart <= 4 * 1.4826 * np.median(apart[seen]) + 0.3
     blur_px2 = _blur(ridges, seen, sigma, width_px)
     outwards = ridges.centre + crossings.curvature * blur_px2 / 2
     points = crossings.middle + outwards[:, None] * crossings.normal
@@ -269,15 +271,15 @@ def _profiles(
     part = np.s_[low[1] : high[1], low[0] : high[0]]
     if picture.flat[part].size == 0:
         empty = np.zeros(points.shape[:2])
-        return _averaged(empty), _averaged(empty)
+        return _average_neighbours(empty), _average_neighbours(empty)
     places = [points[..., 1] - low[1], points[..., 0] - low[0]]
     spline = spline_filter(picture.flat[part].astype(np.float64))
     grey = map_coordinates(spline, places, order=3, prefilter=False, cval=0.0)
     noise = map_coordinates(picture.noise[part].astype(np.float64), places, order=1, mode="nearest")
-    return _averaged(grey), _averaged(noise)
+    return _average_neighbours(grey), _average_neighbours(noise)
 
 
-def _averaged(profiles: Floats) -> Floats:
+def _average_neighbours(profiles: Floats) -> Floats:
     """Each profile with its neighbours along the line: (3 N, M) to (N, M)."""
     triples = profiles.reshape(-1, len(BREADTH_PX), profiles.shape[1])
     return np.asarray(triples.mean(axis=1))
@@ -319,11 +321,3 @@ def _blur(ridges: Ridges, seen: Mask, sigma: float, width_px: Floats) -> float:
     height = (ridges.height + ridges.bend * sigma**2)[seen].mean()
     total = -height / (2 * ridges.bend[seen].mean()) - sigma**2
     return max(float(total - (width_px[seen] ** 2).mean() / 12), 0.0)
-
-
-def _alike(centre: Floats, seen: Mask) -> Mask:
-    """The profiles whose maximum lies off the predicted line by about as much as the others'."""
-    if not seen.any():
-        return seen
-    apart = np.abs(centre - np.median(centre[seen]))
-    return apart <= 4 * 1.4826 * np.median(apart[seen]) + 0.3

@@ -14,13 +14,13 @@ from lscan.board.picture import (
     IMMERKAER,
     BoardPicture,
     Image,
-    enlarged,
-    reduced,
+    enlarge,
     rounding_of,
+    shrink,
     window_sigma,
     working_reduction,
 )
-from lscan.board.search import Nodes, moved
+from lscan.board.search import Nodes, shift_by
 from lscan.records import Floats, Mask
 
 CUT = 2.5  # sigmas beyond which a difference is taken for a mark's, not for noise
@@ -49,18 +49,18 @@ def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
     radius_px : float, px, about that of the dots
     """
     smooth = np.asarray(cv2.GaussianBlur(bright, (0, 0), 1.0), dtype=np.float32)
-    levels, variances = _on_plate(bright, smooth, nodes, radius_px)
-    dot = _in_dots(bright, nodes)
+    levels, variances = _plate_levels(bright, smooth, nodes, radius_px)
+    dot = _dot_level(bright, nodes)
     if dot is not None:
         levels, variances = np.append(levels, dot[0]), np.append(variances, dot[1])
     order = np.argsort(levels)
-    some = reduced(smooth, working_reduction(bright, radius_px))
+    some = shrink(smooth, working_reduction(bright, radius_px))
     variance = np.interp(some, levels[order], variances[order])
     noise = np.sqrt(np.maximum(variance, rounding_of(bright) ** 2)).astype(np.float32)
-    return enlarged(noise, bright.shape)
+    return enlarge(noise, bright.shape)
 
 
-def _on_plate(
+def _plate_levels(
     bright: Image, smooth: Image, nodes: Nodes, radius_px: float
 ) -> tuple[Floats, Floats]:
     """Levels and variances of up to eight parts of the plate, from the darkest to the brightest.
@@ -93,7 +93,7 @@ def _clear_of(nodes: Nodes, radius_px: float, shape: tuple[int, ...]) -> Mask:
     return clear.astype(bool)
 
 
-def _in_dots(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
+def _dot_level(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
     """Level and variance in the middle of the dots, None where too few were found.
 
     The third difference [1 -2 1] by [-1 0 1], whose squared norm is 12, vanishes in the middle
@@ -171,14 +171,14 @@ def grain(picture: BoardPicture, points: Floats, radius_px: float) -> Floats:
 
 def _second_difference(values: Floats, rows: int, columns: int) -> Floats:
     """(R, C) of values and those beside, over what independent ones of unit size make of it."""
-    beside = moved(values, rows, columns) + moved(values, -rows, -columns)
+    beside = shift_by(values, rows, columns) + shift_by(values, -rows, -columns)
     return (beside - 2 * values) / np.sqrt(6)
 
 
 def _usual(differences: Floats) -> Floats:
     """(R, C) robust standard deviation of those within GRAIN_REACH of each; NaN where too few."""
     span = range(-GRAIN_REACH, GRAIN_REACH + 1)
-    near = np.abs(np.stack([moved(differences, row, column) for row in span for column in span]))
+    near = np.abs(np.stack([shift_by(differences, row, column) for row in span for column in span]))
     enough = np.isfinite(near).sum(axis=0) >= GRAIN_FEWEST
     usual = np.full(differences.shape, np.nan)
     usual[enough] = np.nanmedian(near[:, enough], axis=0) / 0.6745

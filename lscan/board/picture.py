@@ -117,7 +117,7 @@ def fit_centres(
     reach = int(np.ceil(REACH * sigma.max())) + 1
     pieces = -(-len(start) * (2 * reach + 1) ** 2 // AT_ONCE)
     fits = [
-        _fitted(flat, some, widths, noise, reach, steps, saddles)
+        _fit_windows(flat, some, widths, noise, reach, steps, saddles)
         for some, widths in zip(
             np.array_split(start, pieces), np.array_split(sigma, pieces), strict=True
         )
@@ -125,7 +125,7 @@ def fit_centres(
     return Centres(*map(np.concatenate, zip(*(vars(fit).values() for fit in fits), strict=True)))
 
 
-def _fitted(
+def _fit_windows(
     flat: NDArray[np.floating],
     start: Floats,
     sigma: Floats,
@@ -370,7 +370,7 @@ def reduction_of(bright: Image) -> int:
     return int(np.ceil(np.sqrt(bright.size / LARGE_PX)))
 
 
-def reduced(bright: Image, reduction: int) -> Image:
+def shrink(bright: Image, reduction: int) -> Image:
     """The picture with squares of pixels averaged; what is left over at its far edges is cut off.
 
     Parameters
@@ -396,7 +396,7 @@ def working_reduction(bright: Image, dot_radius_px: float) -> int:
     return max(1, min(reduction_of(bright), int(dot_radius_px / WORKING_RADIUS_PX)))
 
 
-def enlarged(small: Image, shape: tuple[int, ...]) -> Image:
+def enlarge(small: Image, shape: tuple[int, ...]) -> Image:
     """A reduced picture at full size again, interpolated; itself where it has that size.
 
     Parameters
@@ -479,10 +479,10 @@ def _gain(ground: Image) -> Image:
 def _ground(bright: Image, dot_radius_px: float) -> Image:
     """(H, W) the ground; of a large picture with large dots, from a smaller copy: it is smooth."""
     reduction = working_reduction(bright, dot_radius_px)
-    small = reduced(bright, reduction)
+    small = shrink(bright, reduction)
     window = 2 * int(np.ceil(GROUND_WINDOW * dot_radius_px / reduction)) + 1
     low, high = float(small.min()), float(small.max())
     step = max(high - low, 1e-6) / 255
     median = cv2.medianBlur(np.round((small - low) / step).astype(np.uint8), window)
     smoothed = cv2.GaussianBlur(median.astype(np.float32), (0, 0), window / 4)
-    return enlarged(smoothed * np.float32(step) + np.float32(low), bright.shape)
+    return enlarge(smoothed * np.float32(step) + np.float32(low), bright.shape)

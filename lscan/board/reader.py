@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lscan.board.lattice import (
     LocalMap,
-    completed,
+    complete_nodes,
     dot_part,
     drop_islands,
     drop_outliers,
@@ -33,8 +33,8 @@ from lscan.board.picture import (
     fit_centres,
     noise_of,
     prepare,
-    reduced,
     reduction_of,
+    shrink,
     stand_alone,
     window_sigma,
 )
@@ -195,11 +195,11 @@ def _share_found(reading: BoardReading) -> float:
 
 def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board) -> BoardReading:
     """The dots measured again on the board's place for them, and all other marks."""
-    mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
+    mapping = local_map(complete_nodes(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     noise = noise_image(bright, nodes, _median_radius(nodes, board.grid))
     picture = replace(picture, noise=picture.gain * noise)
-    nodes = _measured_again(picture, nodes, mapping, board)
-    mapping = local_map(completed(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
+    nodes = _remeasure(picture, nodes, mapping, board)
+    mapping = local_map(complete_nodes(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
     reading = BoardReading(
         image_size=picture.size,
@@ -219,7 +219,7 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
     shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
     faults = []
     for seeds in _proposals(bright, board):
-        picture, nodes, fault = _searched(bright, grid, seeds, shape, (grid.rows, grid.columns))
+        picture, nodes, fault = _search_dots(bright, grid, seeds, shape, (grid.rows, grid.columns))
         if fault is None:
             return picture, nodes.part(nodes.extent())
         faults.append((int(nodes.found.sum()), fault))
@@ -231,7 +231,7 @@ def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
     """Seeds to begin with; of a large picture, those that a smaller copy shows come first."""
     reduction = reduction_of(bright)
     if reduction > 1:
-        small = reduced(bright, reduction)
+        small = shrink(bright, reduction)
         with suppress(BoardNotFound):  # dots may be too small in it
             for seeds in propose_seeds(small, board, noise_of(small)):
                 yield (seeds + 0.5) * reduction - 0.5
@@ -241,7 +241,7 @@ def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
 def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPicture, Nodes]:
     """The dots found from seeds given by hand, the first of which is the origin."""
     grid = board.grid
-    picture, nodes, fault = _searched(bright, grid, seeds, (grid.rows, grid.columns), (0, 0))
+    picture, nodes, fault = _search_dots(bright, grid, seeds, (grid.rows, grid.columns), (0, 0))
     if fault is not None:
         given = np.round(seeds, 1).tolist()
         raise BoardNotFound(f"the board was not found from the seeds {given}: {fault}")
@@ -251,7 +251,7 @@ def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPictu
     return picture, nodes.part((slice(0, rows.stop), slice(0, columns.stop)))
 
 
-def _searched(
+def _search_dots(
     bright: Image, grid: Grid, seeds: Floats, shape: tuple[int, int], corner: tuple[int, int]
 ) -> tuple[BoardPicture, Nodes, str | None]:
     """The picture levelled, the dots found from seeds, and what speaks against them.
@@ -270,7 +270,7 @@ def _median_radius(nodes: Nodes, grid: Grid) -> float:
     return float(np.nanmedian(local_pitch(nodes.points))) * dot_part(grid) / 2
 
 
-def _measured_again(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, board: Board) -> Nodes:
+def _remeasure(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, board: Board) -> Nodes:
     """The same dots: windows by the local map, corrected for its bias, the noise as it is there."""
     grid = board.grid
     map_there = mapping.expanded(grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found])
@@ -281,7 +281,7 @@ def _measured_again(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, boar
     again = Nodes.empty(*nodes.height.shape)
     sigma_px = centres.sigma_px
     if not (board.ruler or board.dot or board.ring):  # nothing else is between the dots
-        every = completed(nodes, grid.pitch_mm)
+        every = complete_nodes(nodes, grid.pitch_mm)
         sigma_px = sigma_px * grain(picture, every, _median_radius(nodes, grid))[nodes.found]
     measured = replace(centres, points=centres.points - shift, sigma_px=sigma_px)
     sure = sigma_px <= UNSURE * map_there.scale * grid.pitch_mm

@@ -18,7 +18,7 @@ from lscan.board.picture import (
     Centres,
     Image,
     fit_centres,
-    reduced,
+    shrink,
     window_sigma,
 )
 from lscan.config.board import Board
@@ -145,7 +145,7 @@ def grow(
         return centres, centres.round & in_view(centres.points, pitch) & near & alike
 
     nodes = Nodes.empty(*shape)
-    where, pitch = seeded(corner, seeds)
+    where, pitch = seed_nodes(corner, seeds)
     centres = look(picture, seeds, SEED_BOX * pitch, window_sigma(dot * pitch / 2))
     alike = centres.height > FAINTEST * np.median(centres.height)
     nodes.put(where, centres, centres.round & alike)
@@ -153,7 +153,7 @@ def grow(
     return nodes
 
 
-def seeded(corner: tuple[int, int], seeds: Floats) -> tuple[tuple[Ints, Ints], Floats]:
+def seed_nodes(corner: tuple[int, int], seeds: Floats) -> tuple[tuple[Ints, Ints], Floats]:
     """Rows and columns (3,) of the three seeds, and the pitch there (3,), px.
 
     Parameters
@@ -253,9 +253,9 @@ def expected_places(points: Floats) -> Floats:
     points : (R, C, 2) array, px, (u, v) of the nodes known; NaN where none
     """
     p = points
-    guesses = [2 * moved(p, r, c) - moved(p, 2 * r, 2 * c) for r, c in NEXT]
+    guesses = [2 * shift_by(p, r, c) - shift_by(p, 2 * r, 2 * c) for r, c in NEXT]
     for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        guesses.append(moved(p, r, 0) + moved(p, 0, c) - moved(p, r, c))
+        guesses.append(shift_by(p, r, 0) + shift_by(p, 0, c) - shift_by(p, r, c))
     return _mean_of_known(guesses)
 
 
@@ -266,7 +266,7 @@ def mean_beside(values: Floats) -> Floats:
     ----------
     values : (R, C) array, NaN where nothing is known
     """
-    return _mean_of_known([moved(values, r, c) for r, c in NEXT])
+    return _mean_of_known([shift_by(values, r, c) for r, c in NEXT])
 
 
 def local_pitch(points: Floats) -> Floats:
@@ -279,12 +279,12 @@ def local_pitch(points: Floats) -> Floats:
     u, v = points[..., 0], points[..., 1]
     axes = []
     for r, c in NEXT[::2]:
-        step = np.hypot(u - moved(u, r, c), v - moved(v, r, c))
-        axes.append(_mean_of_known([step, moved(step, -r, -c)]))
+        step = np.hypot(u - shift_by(u, r, c), v - shift_by(v, r, c))
+        axes.append(_mean_of_known([step, shift_by(step, -r, -c)]))
     return _mean_of_known(axes)
 
 
-def moved(array: Floats, rows: int, columns: int) -> Floats:
+def shift_by(array: Floats, rows: int, columns: int) -> Floats:
     """The array with each node holding what is some rows and columns away; NaN outside.
 
     Parameters
@@ -353,7 +353,7 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
     Lindeberg, "Feature detection with automatic scale selection", IJCV 30 (1998).
     """
     reduction = max(1, int(radius_px / WORKING_RADIUS_PX))
-    small = reduced(bright, reduction)
+    small = shrink(bright, reduction)
     sigma = radius_px / reduction / np.sqrt(2)
     smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), sigma), dtype=np.float32)
     response = -(sigma**2) * cv2.Laplacian(smooth, cv2.CV_32F, ksize=1)

@@ -114,7 +114,7 @@ def trace(model: Any, place: Keys) -> tuple[Keys, Any]:
             here = inner
             keys.append(part)
         else:
-            here = _tagged(here, part) or here
+            here = next((model for model in _models(here) if part in _tags(model)), None) or here
     return tuple(keys), here
 
 
@@ -132,11 +132,6 @@ def _member(annotation: Any, key: str | int) -> Any:
     return None
 
 
-def _tagged(annotation: Any, tag: str | int) -> Any:
-    """The model, of several, whose ``kind`` is ``tag``; None where there is none."""
-    return next((model for model in _models(annotation) if tag in _tags(model)), None)
-
-
 def _models(annotation: Any) -> list[Any]:
     """The models and dataclasses among the kinds of value that an annotation allows."""
     return [kind.type for kind in kinds(annotation) if kind.is_table]
@@ -152,7 +147,7 @@ def in_words(annotation: Any) -> str:
     """What an annotation allows, such as "a number of 0 to 100", or ""; each kind once."""
     if len(_models(annotation)) > 1:
         return f"a table with kind = {tags_in_words(annotation)}"
-    said = [kind.words or _in_words(kind) for kind in kinds(annotation)]
+    said = [kind.words or _kind_in_words(kind) for kind in kinds(annotation)]
     return ", or ".join(dict.fromkeys(words for words in said if words))
 
 
@@ -167,7 +162,7 @@ def tags_in_words(annotation: Any) -> str:
     return _one_of([tag for model in _models(annotation) for tag in _tags(model)])
 
 
-def _in_words(kind: Kind) -> str:
+def _kind_in_words(kind: Kind) -> str:
     if get_origin(kind.type) is Literal:
         return _one_of(list(get_args(kind.type)))
     if kind.is_table:
@@ -501,8 +496,8 @@ def _explain(
     place = faults[0].keys
     same = [fault for fault in faults if fault.keys[: len(place)] == place]
     first = max(same, key=lambda fault: len(fault.keys))
-    key = _named(prefix, first.keys) or "document"
-    others = [_named(prefix, fault.keys) for fault in faults if fault not in same]
+    key = _dotted_name(prefix, first.keys) or "document"
+    others = [_dotted_name(prefix, fault.keys) for fault in faults if fault not in same]
     others = list(dict.fromkeys(others))
     also = f"; see also {', '.join(others[:MOST_NAMED])}" if others else ""
     more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
@@ -510,7 +505,7 @@ def _explain(
     return InputError(what, where=where, value=first.value, allowed=first.allowed)
 
 
-def _named(prefix: str, keys: Keys) -> str:
+def _dotted_name(prefix: str, keys: Keys) -> str:
     if prefix == "--":
         return f"--{dotted(keys).replace('_', '-')}"
     return dotted((prefix, *keys) if prefix else keys)
@@ -534,7 +529,7 @@ def _fault(raw: ErrorDetails, model: type[BaseModel], document: Document) -> _Mo
         return _ModelFault(keys, "field required", None, in_words(annotation) or None)
     if kind == "value_error":
         message = str(raw["ctx"]["error"])
-        return _ModelFault(keys, message, _named_in(message, value, annotation))
+        return _ModelFault(keys, message, _keys_named_in(message, value, annotation))
     words, message = in_words(annotation), raw["msg"]
     return _ModelFault(
         keys, f"must be {words}" if words else message[0].lower() + message[1:], value
@@ -549,7 +544,7 @@ def _value_at(document: Any, keys: Keys) -> Any:
         return None
 
 
-def _named_in(message: str, value: Any, annotation: Any) -> Any:
+def _keys_named_in(message: str, value: Any, annotation: Any) -> Any:
     """Of a table, the keys that a rule over several of them speaks of, with their values."""
     if not isinstance(value, dict):
         return value

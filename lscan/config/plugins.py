@@ -24,7 +24,7 @@ _HERE, _PYTHON = Path(__file__).parents[1], Path(importlib.__file__).parents[1]
 
 
 @cache
-def _registered(group: str) -> dict[str, list[EntryPoint]]:
+def _entry_points(group: str) -> dict[str, list[EntryPoint]]:
     """All entry points of a group by name; looked for once, since every package is read for it."""
     found: dict[str, list[EntryPoint]] = {}
     for entry in sorted(entry_points(group=group)):
@@ -39,7 +39,7 @@ def installed(group: str) -> tuple[str, ...]:
     ----------
     group : str, a key of ``_KINDS``, such as "lscan.cameras"
     """
-    return tuple(_registered(group))
+    return tuple(_entry_points(group))
 
 
 def find_entry(group: str, name: str, where: object = None) -> EntryPoint:
@@ -56,7 +56,7 @@ def find_entry(group: str, name: str, where: object = None) -> EntryPoint:
     InputError
         There is no such name (lists those there are), or two: which is meant is not known.
     """
-    kind, found = _KINDS.get(group, group), _registered(group).get(name, [])
+    kind, found = _KINDS.get(group, group), _entry_points(group).get(name, [])
     if not found:
         raise InputError(f"no such {kind}", where=where, value=name,
                          allowed=", ".join(installed(group)))  # fmt: skip
@@ -217,7 +217,7 @@ def others_versions(group: str, name: str) -> dict[str, str]:
     if names_code(name):
         packages = _packages().get(name.partition(".")[0].partition(":")[0], [])
         return {package: version(package) for package in packages if package != _OURS}
-    known = _registered(group)
+    known = _entry_points(group)
     entries = known.get(name) or known.get(name.partition("-")[0], [])
     dists = [entry.dist for entry in entries if not _is_ours(entry)]
     return {dist.name: dist.version for dist in dists if dist is not None}

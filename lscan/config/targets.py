@@ -196,14 +196,14 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6)]
 PlanPlace = tuple[Coordinate, Coordinate]
 
 
-def _rising(interval: tuple[float, float]) -> tuple[float, float]:
+def _require_length(interval: tuple[float, float]) -> tuple[float, float]:
     """The interval; ValueError where it has no length."""
     if not interval[0] < interval[1]:
         raise ValueError("must be a lower and a higher number")
     return interval
 
 
-Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_rising)]
+Interval = Annotated[tuple[Coordinate, Coordinate], AfterValidator(_require_length)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
@@ -250,7 +250,7 @@ class ShapesDocument(Strict):
     height: tuple[HeightShape, ...] = ()
 
     @model_validator(mode="after")
-    def _named_apart(self) -> Self:
+    def _require_unique_names(self) -> Self:
         names = [entry.name for _, entries in self for entry in entries]
         if not names:
             raise ValueError("names nothing: a plane, step, sphere, cylinder or height is needed")

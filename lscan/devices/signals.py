@@ -7,20 +7,20 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 
-def _known(*names: str) -> tuple[int, ...]:
+def _known_signals(*names: str) -> tuple[int, ...]:
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
 
 
-STOPPING = _known(
+STOPPING = _known_signals(
     *("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"),  # Ctrl-C, kill, the terminal goes, Ctrl-\
     *("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGPWR"),  # batch systems, limits, a UPS
 )
 """What others send to end a program, as far as it can be handled.  SIGKILL cannot."""
 
-SUSPENDING = _known("SIGTSTP", "SIGTTIN", "SIGTTOU")
+SUSPENDING = _known_signals("SIGTSTP", "SIGTTIN", "SIGTTOU")
 """Ctrl-Z, and what a terminal does to a program in the background that uses it."""
 
-_MEANT = _known("SIGINT", "SIGTERM", "SIGQUIT")
+_MEANT = _known_signals("SIGINT", "SIGTERM", "SIGQUIT")
 
 
 @contextmanager
@@ -35,7 +35,7 @@ def on_stop_signals(act: Callable[[], None]) -> Iterator[None]:
     ----------
     act : callable, called by the signal, in the main thread
     """
-    with _on_signals(filter(_may_act, STOPPING), lambda _: act()):
+    with _handle_signals(filter(_may_act, STOPPING), lambda _: act()):
         yield
 
 
@@ -52,7 +52,9 @@ def interrupted_by_signals(unhandled_only: bool = False) -> Iterator[None]:
     unhandled_only : bool
         Leave alone those for which there is a handler, such as a script's own.
     """
-    with _on_signals(filter(_unhandled if unhandled_only else _may_act, STOPPING), _Interruption()):
+    with _handle_signals(
+        filter(_is_unhandled if unhandled_only else _may_act, STOPPING), _Interruption()
+    ):
         yield
 
 
@@ -61,7 +63,7 @@ def stop_signals_held() -> Iterator[None]:
     """Let the signals of STOPPING that come within the block act at its end, as one."""
     came: list[int] = []
     try:
-        with _on_signals(filter(_may_act, STOPPING), came.append):
+        with _handle_signals(filter(_may_act, STOPPING), came.append):
             yield
     finally:
         if came:
@@ -86,7 +88,7 @@ def no_suspending() -> Iterator[None]:
         if number == SUSPENDING[0]:
             signal.raise_signal(signal.SIGINT)
 
-    with _on_signals(SUSPENDING, act):
+    with _handle_signals(SUSPENDING, act):
         yield
 
 
@@ -112,7 +114,7 @@ class _Interruption:
 
 
 @contextmanager
-def _on_signals(numbers: Iterable[int], act: Callable[[int], None]) -> Iterator[None]:
+def _handle_signals(numbers: Iterable[int], act: Callable[[int], None]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():  # which alone may set handlers
         yield
         return
@@ -130,6 +132,6 @@ def _may_act(number: int) -> bool:
     return handler is not None and (handler != signal.SIG_IGN or number in _MEANT)
 
 
-def _unhandled(number: int) -> bool:
+def _is_unhandled(number: int) -> bool:
     """Whether the signal does what it does without anybody's doing."""
     return signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)

@@ -95,7 +95,7 @@ def picture_delay(
         Where a device fails.
     """
     try:
-        (off, gap_off_s), (on, gap_on_s) = (_settled(camera, laser, lit) for lit in (False, True))
+        (off, gap_off_s), (on, gap_on_s) = (_mean_of(camera, laser, lit) for lit in (False, True))
         change = on - off
         most_dn = np.abs(change).max()
         if most_dn < LEAST_DN:
@@ -129,7 +129,7 @@ def _delay_s(
     raise MeasurementError(f"delay: the laser's switching is not shown within {LONGEST_S:g} s")
 
 
-def _settled(camera: Previewing, laser: LaserSwitch, lit: bool) -> tuple[Floats, float]:
+def _mean_of(camera: Previewing, laser: LaserSwitch, lit: bool) -> tuple[Floats, float]:
     """The mean of some pictures that show the laser so, (H, W); the longest wait for one, s."""
     _switch(laser, lit)
     came_s = [time.monotonic()]

@@ -263,7 +263,7 @@ def npz_arrays(data: bytes, most: int, where: object) -> dict[str, NDArray[Any]]
                 raise InputError("unpacks to too much: bytes", where=where, value=total,
                                  allowed=allowed)  # fmt: skip
             return {
-                entry.filename.removesuffix(".npy"): _npy_array(_unpacked(archive, entry))
+                entry.filename.removesuffix(".npy"): _npy_array(_unpack_member(archive, entry))
                 for entry in entries
             }
     except InputError:
@@ -272,7 +272,7 @@ def npz_arrays(data: bytes, most: int, where: object) -> dict[str, NDArray[Any]]
         raise InputError("cannot be read as arrays", where=where) from error
 
 
-def _unpacked(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
+def _unpack_member(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> bytes:
     """The bytes of a member, of which no more than it states are unpacked."""
     with archive.open(entry) as opened:
         return opened.read(entry.file_size + 1)
@@ -338,7 +338,9 @@ def _check_member(head: tarfile.TarInfo, begin: int, end: int, most: int, file: 
 
 # NetCDF after the CF conventions: files that every program can use, and what files of others mean.
 #
-# References ---------- Eaton et al., NetCDF Climate and Forecast (CF) Metadata Conventions, version
+# References
+# ----------
+# Eaton et al., NetCDF Climate and Forecast (CF) Metadata Conventions, version
 # 1.11: sections 2.2 (types), 2.5.1 (missing data), 3.1 (units) and 8.1 (packed data). Unidata,
 # NetCDF Users Guide, appendix A: attribute conventions; netcdf.h: values of what was not written.
 
@@ -403,7 +405,9 @@ def netcdf_bytes(arrays: Mapping[str, NetcdfArray], attributes: Mapping[str, Any
         for name, array in arrays.items():
             dimensions, values = array.dimensions, array.values
             if values.dtype.kind == "U":
-                dimensions, values = (*dimensions, f"{name}_length"), _characters(values)
+                characters = np.char.encode(values, "utf-8").view("S1")
+                dimensions = (*dimensions, f"{name}_length")
+                values = characters.reshape(*values.shape, -1)
             for dimension, size in zip(dimensions, values.shape, strict=True):
                 if dimension not in file.dimensions:
                     file.dimensions[dimension] = size
@@ -419,12 +423,6 @@ def netcdf_bytes(arrays: Mapping[str, NetcdfArray], attributes: Mapping[str, Any
         whole = {"Conventions": CONVENTIONS, **attributes}
         file.attrs.update({key: _portable(one) for key, one in whole.items()})
     return stream.getvalue()
-
-
-def _characters(texts: NDArray[np.str_]) -> NDArray[np.bytes_]:
-    """Texts (N,) as their characters (N, L)."""
-    encoded = np.char.encode(texts, "utf-8")
-    return encoded.view("S1").reshape(*texts.shape, -1)
 
 
 def _portable(value: Any) -> Any:
@@ -451,7 +449,7 @@ def as_text(value: Any) -> str | None:
     return value.rstrip("\0") if isinstance(value, str) else None
 
 
-def unpacked(array: NetcdfArray, where: str) -> Floats:
+def unpack(array: NetcdfArray, where: str) -> Floats:
     """The numbers that are meant: of packed ones those they stand for, NaN where one is missing.
 
     Parameters
@@ -481,7 +479,7 @@ def unpacked(array: NetcdfArray, where: str) -> Floats:
             value = f"{scale:g}, {offset:g}"
             raise InputError("scale_factor, add_offset: no packing", where=where, value=value)
         values = values.astype(float) * scale + offset
-    missing = _missing(stored, values, notes, where)
+    missing = _missing_values(stored, values, notes, where)
     return np.where(missing, np.nan, values) if missing.any() else values
 
 
@@ -496,7 +494,7 @@ def _numbers(value: Any, most: int, where: str) -> NDArray[Any]:
     return found.astype(found.dtype.newbyteorder("="))
 
 
-def _missing(
+def _missing_values(
     stored: NDArray[Any], values: Floats, notes: Mapping[str, NDArray[Any]], where: str
 ) -> Mask:
     """Where an array has no value.

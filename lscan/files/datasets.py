@@ -244,7 +244,7 @@ def _read_members(path: Path, key: str) -> dict[str, bytes]:
         with open_regular(path, MOST_SHARD_BYTES) as stream, reading_errors(path):
             state = os.fstat(stream.fileno())
             places = _places(path, state.st_mtime_ns, state.st_size)
-            return _each_member(key, partial(_in_tar, stream, places, path, key))
+            return _each_member(key, partial(_read_in_tar, stream, places, path, key))
     if path.suffix == ".h5":
         with open_hdf5(path, MOST_SHARD_BYTES) as file:
             return _each_member(key, partial(_in_hdf5, file, path, key))
@@ -282,7 +282,7 @@ def _check_truth(arrays: Mapping[str, np.ndarray], size_px: tuple[int, int], whe
             raise InputError(f"{name}: is not finite where status is OK", where=where)
 
 
-def _in_tar(
+def _read_in_tar(
     stream: BinaryIO, places: Mapping[str, Place], path: Path, key: str, name: str, most: int
 ) -> bytes:
     if (place := places.get(f"{key}.{name}")) is None:

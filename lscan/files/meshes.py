@@ -62,7 +62,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if kind in ("obj", "off") and b"\0" in content:
         raise InputError("is no text, or one in UTF-16; save it as UTF-8", where=path)
     try:
-        mesh = _read_stl(content) if kind == "stl" else _in_triangles(READERS[kind](content))
+        mesh = _read_stl(content) if kind == "stl" else _triangle_mesh(READERS[kind](content))
     except InputError as error:
         raise InputError(str(error), where=path) from error
     except Exception as error:  # trimesh and NumPy raise whatever they do on what is no such file
@@ -72,7 +72,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if np.abs(mesh.vertices).max() > FURTHEST_MM:
         allowed = f"{FURTHEST_MM:g} mm from the origin at most"
         raise InputError("has vertices too far away", where=path, allowed=allowed)
-    vertices, faces, kept = merged(mesh.vertices, mesh.faces)
+    vertices, faces, kept = weld_mesh(mesh.vertices, mesh.faces)
     if again := len(mesh.faces) - len(faces):
         mesh.metadata[TWICE] = f"repeats triangles, which count once: {again}"
     if mesh.visual.kind == "vertex":
@@ -81,7 +81,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False, metadata=mesh.metadata)
 
 
-def merged(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
+def weld_mesh(vertices: Floats, faces: Ints) -> tuple[Floats, Ints, Ints]:
     """The vertices that faces have, each place once, in their order, the faces of them, and which.
 
     Of faces with the same corners the first is kept: a copy would close the border of an open mesh,
@@ -133,7 +133,7 @@ def _first_of_equals(rows: NDArray[np.integer]) -> tuple[Ints, Ints]:
     return np.sort(first), rank[place]
 
 
-def _in_triangles(read: PolygonMesh) -> trimesh.Trimesh:
+def _triangle_mesh(read: PolygonMesh) -> trimesh.Trimesh:
     """The mesh that a file lists."""
     if read.vertices.shape[1:] != (3,):
         raise InputError("has vertices without three coordinates")

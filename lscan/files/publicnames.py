@@ -30,13 +30,13 @@ def public_names(
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         found = getattr(import_module(homes[name]), name)
-        return _checked(found, package) if checked and inspect.isfunction(found) else found
+        return _check_arguments(found, package) if checked and inspect.isfunction(found) else found
 
     return load, lambda: sorted(homes), sorted(homes)
 
 
 @cache
-def _checked(function: Callable[..., Any], package: str) -> Callable[..., Any]:
+def _check_arguments(function: Callable[..., Any], package: str) -> Callable[..., Any]:
     """The function, which raises TypeError for an argument that is not of its class of lscan.
 
     Arguments of other types, such as paths and arrays, are left to the function.

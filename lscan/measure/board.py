@@ -146,7 +146,7 @@ def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
         return (np.linalg.norm(points_mm - parameters[:2], axis=1) - parameters[2]) * root
 
     def jacobian(parameters: Floats) -> Floats:
-        return _by_parameters(points_mm, parameters) * root[:, None]
+        return _circle_derivatives(points_mm, parameters) * root[:, None]
 
     fit = least_squares(weighted, _algebraic(points_mm), jacobian, method="lm", xtol=1e-12)
     design = jacobian(fit.x)
@@ -157,11 +157,11 @@ def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
         centre_mm=fit.x[:2],
         radius_mm=float(fit.x[2]),
         diameter_sigma_mm=2 * float(np.sqrt(inverse[2, 2] * max(1.0, scatter))),
-        radius_by_point=-by_distance[:, None] * _by_parameters(points_mm, fit.x)[:, :2],
+        radius_by_point=-by_distance[:, None] * _circle_derivatives(points_mm, fit.x)[:, :2],
     )
 
 
-def _by_parameters(points: Floats, parameters: Floats) -> Floats:
+def _circle_derivatives(points: Floats, parameters: Floats) -> Floats:
     """(K, 3) derivatives of the points' distances from the circle by its centre and radius."""
     away = points - parameters[:2]
     distance = np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)

@@ -104,7 +104,11 @@ def trace(profile: Profile) -> Trace:
     spacing = float(np.median(steps)) if len(steps) else 0.0
     if not spacing > 0:
         raise MeasurementError("no two neighbouring columns have a point: no segments")
-    tilt = _common_tilt(x, z)
+    # The median slope over short chords that stay on one segment: walls and steps are few.
+    reach = max(len(x) // 50, 3)
+    chord = (z[reach:] - z[:-reach]) / np.maximum(x[reach:] - x[:-reach], 1e-9)
+    level = chord[(np.abs(chord) < MAX_TILT) & (x[reach:] > x[:-reach])]
+    tilt = float(np.median(level)) if len(level) else 0.0
     modes = None if profile.points.modes_mm is None else profile.points.modes_mm[column]
     return Trace(x, z, sigma_x, sigma_z, profile.brightness[column], spacing, tilt, modes)
 
@@ -123,7 +127,7 @@ def segments(line: Trace) -> list[Segment]:
     return [Segment(run, float(np.median(flat[run]))) for run in level if len(run) >= MIN_POINTS]
 
 
-def joined(parts: Sequence[Segment], line: Trace) -> Segment:
+def join_segments(parts: Sequence[Segment], line: Trace) -> Segment:
     """One segment of all the points of several that lie on one level.
 
     Parameters
@@ -171,7 +175,9 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> LengthBudget:
     """
     points = np.concatenate([upper, lower])
     which = np.repeat([0, 1], [len(upper), len(lower)])
-    design = _two_lines(line.x[points], which)
+    x = line.x[points]  # counted from its mean, of two lines of one slope
+    middle = float(x.mean()) if len(x) else 0.0
+    design = np.column_stack([x - middle, which == 0, which == 1]).astype(float)
     keep = np.ones(len(points), dtype=bool)
     for _ in range(5):
         if min(np.sum(keep & (which == 0)), np.sum(keep & (which == 1))) < MIN_POINTS:
@@ -201,12 +207,6 @@ def height_between(line: Trace, upper: Ints, lower: Ints) -> LengthBudget:
     )
 
 
-def _two_lines(x: Floats, which: Ints) -> Floats:
-    """(K, 3) design of two lines of one slope, x counted from its mean."""
-    middle = float(x.mean()) if len(x) else 0.0
-    return np.column_stack([x - middle, which == 0, which == 1]).astype(float)
-
-
 def _correlation_factor(residual: Floats) -> float:
     """Factor by which the variance of a mean grows because neighbours err alike: 1 at least.
 
@@ -225,14 +225,6 @@ def _without_walls(run: Ints, flat: Floats) -> Ints:
     """The run without points at its ends that lie off its level: lit spots of a wall."""
     on_level = np.flatnonzero(np.abs(flat[run] - np.median(flat[run])) < LEVEL_MM)
     return run[on_level[0] : on_level[-1] + 1] if len(on_level) else run[:0]
-
-
-def _common_tilt(x: Floats, z: Floats) -> float:
-    """Median slope over short chords that stay on one segment: walls and steps are few."""
-    reach = max(len(x) // 50, 3)
-    chord = (z[reach:] - z[:-reach]) / np.maximum(x[reach:] - x[:-reach], 1e-9)
-    level = chord[(np.abs(chord) < MAX_TILT) & (x[reach:] > x[:-reach])]
-    return float(np.median(level)) if len(level) else 0.0
 
 
 # Where lit segments end, from how their brightness falls there.
@@ -264,7 +256,7 @@ light that clear water scatters about a line."""
 FALSE_LIGHT = 0.015
 """Standard uncertainty of an end, in columns, that no further picture lessens.  Half a percent of
 the segment's brightness, left of a halo or a lit wall where the ground beside the line is taken
-off (stripe/core.py), moves a fall over two columns by as much, outwards."""
+off (stripe/peaks.py), moves a fall over two columns by as much, outwards."""
 
 
 @dataclass(frozen=True)
@@ -385,8 +377,8 @@ def groove_dimensions(
     left out.  Its sigma_mm holds the noise of that mean and, undiminished, what errs alike in all
     profiles: the calibration, of which only the difference it makes to the length counts where the
     plane map has modes; false light at the ends, or the columns' spacing where an end's
-    brightness does not fall (ends.py); and what a level line's place within the pixel does to
-    its height (segments.py).
+    brightness does not fall; and what a level line's place within the pixel does to
+    its height.
 
     Parameters
     ----------
@@ -483,7 +475,7 @@ def _ridges(
             groups[-1].append(part)
         else:
             groups.append([part])
-    ridges = tuple(joined(group, line) for group in groups)
+    ridges = tuple(join_segments(group, line) for group in groups)
     ridges = tuple(ridge for ridge in ridges if _width(line, ridge) > narrowest / 2)
     if len(ridges) != wanted:
         raise MeasurementError(f"{len(ridges)} tops found, the block has {wanted}")
@@ -503,7 +495,7 @@ def _widest_level(line: Trace, parts: list[Segment]) -> Segment:
     """The widest of the segments, joined with the others on its level."""
     widest = max(parts, key=lambda part: _width(line, part))
     level = [part for part in parts if abs(part.level_mm - widest.level_mm) < 2.0]
-    return joined(level, line)
+    return join_segments(level, line)
 
 
 def _width(line: Trace, part: Segment) -> float:

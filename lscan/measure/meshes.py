@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from lscan.errors import InputError, MeasurementError
 from lscan.figures.style import FIRST, INK, SECOND, WIDTH_IN, png, styled
 from lscan.files.disk import write_atomically
-from lscan.files.meshes import merged
+from lscan.files.meshes import weld_mesh
 from lscan.measure.shapes import ShapeTerms, fit_shape, measured_points
 from lscan.records import Floats, Ints, Mask, Surface
 
@@ -88,7 +88,7 @@ class MeshSearch:
     """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        self._vertices, joined, _ = merged(np.asarray(mesh.vertices, dtype=float), mesh.faces)
+        self._vertices, joined, _ = weld_mesh(np.asarray(mesh.vertices, dtype=float), mesh.faces)
         faces: NDArray[np.int32] = joined.astype(np.int32)
         del joined  # 120 MB of five million triangles
         area = np.concatenate([trimesh.triangles.area(self._vertices[f]) for f in _chunks(faces)])
@@ -134,7 +134,7 @@ class MeshSearch:
         off = distance > TIE_MM  # nearer, the direction is rounding
         normal = _normals(self._corners(triangle))
         normal[off] = sign[off, None] * away[off] / distance[off, None]
-        border = self._on_border(triangle, place)
+        border = self._is_on_border(triangle, place)
         return NearestPlaces(sign * distance, place, normal, border)
 
     def _corners(self, triangle: Ints) -> Floats:
@@ -172,7 +172,7 @@ class MeshSearch:
         sure |= reached[:, 0] - self._reach > within_mm
         return triangle[best], places[best], side, sure
 
-    def _on_border(self, triangle: Ints, place: Floats) -> Mask:
+    def _is_on_border(self, triangle: Ints, place: Floats) -> Mask:
         """(K,) whether places of triangles lie on an edge that is no other triangle's."""
         open_edges = self._border[triangle]
         on_border = np.zeros(len(triangle), dtype=bool)

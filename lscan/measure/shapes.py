@@ -29,8 +29,7 @@ from lscan.surface.surface import sample
 #   the parameters by a weighted sum of what it does to the distances.
 #
 # All is of first order in the noise: the radius of a sphere grows by s²/r, 0.3 µm of 30 mm for
-# noise
-# of 0.1 mm.
+# noise of 0.1 mm.
 
 
 OUTLIER = 5.0
@@ -259,11 +258,13 @@ def fit_shape(start: FittedShape, points: MeasuredPoints, what: str) -> ShapeFit
         count, fewest = int(kept.sum()), 2 * terms.design.shape[1]
         if count < fewest:
             raise MeasurementError(f"{what}: {count} points lie there, {fewest} are needed")
-        step, length = _step(terms.by_sigma(points)[kept], terms.distance_mm[kept] / sigma[kept])
-        squares = float(np.square(terms.distance_mm[kept] / sigma[kept]).sum())
+        weighted, ratio = terms.by_sigma(points)[kept], terms.distance_mm[kept] / sigma[kept]
+        step = -_inverse(weighted.T @ weighted)[0] @ (weighted.T @ ratio)
+        length = float(np.linalg.norm(weighted @ step))  # in standard deviations
+        squares = float(np.square(ratio).sum())
         idle = iteration >= SLOW_ITERATIONS and squares >= least
         if (length < SETTLED and iteration >= UNDECIDED_ITERATIONS) or idle:
-            return _fitted(shape, points, kept)
+            return _shape_fit(shape, points, kept)
         shape, least = shape.moved(step), squares
     raise MeasurementError(f"{what}: the fit does not settle: does what lies there determine it?")
 
@@ -278,13 +279,6 @@ def _no_outliers(terms: ShapeTerms, sigma: Floats) -> Mask:
     return terms.usable & (ratio <= OUTLIER * spread + LEAST_SIGMA_MM / sigma)
 
 
-def _step(weighted: Floats, ratio: Floats) -> tuple[Floats, float]:
-    """The Gauss-Newton step (P,) and its length in standard deviations; see ``_excess``."""
-    inverse, _ = _inverse(weighted.T @ weighted)
-    step = -inverse @ (weighted.T @ ratio)
-    return step, float(np.linalg.norm(weighted @ step))
-
-
 def _inverse(matrix: Floats) -> tuple[Floats, bool]:
     """The inverse of a normal matrix, of what it determines, and whether that is all."""
     squares = np.diag(matrix)
@@ -295,7 +289,7 @@ def _inverse(matrix: Floats) -> tuple[Floats, bool]:
     return inverse / np.outer(scale, scale), bool(known.all())
 
 
-def _fitted(shape: FittedShape, points: MeasuredPoints, kept: Mask) -> ShapeFit:
+def _shape_fit(shape: FittedShape, points: MeasuredPoints, kept: Mask) -> ShapeFit:
     """The fit with its uncertainty, the shape and the points that had a part in it decided."""
     terms = shape.terms(points.xyz_mm)
     sigma = terms.sigma_mm(points)[kept]
@@ -664,7 +658,7 @@ def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasur
         ("cylinder", CylinderShape, wanted.cylinder),
     ):
         for entry in entries:
-            points = _in_box(surface, entry, entry.name)
+            points = _points_in_box(surface, entry, entry.name)
             fit = fit_shape(shape.start(points.xyz_mm), points, f"{kind} {entry.name!r}")
             found.append(_measure(kind, entry.name, fit, points))
     return found + [_height(surface, one) for one in wanted.height]
@@ -672,7 +666,7 @@ def measure_shapes(surface: Surface, wanted: ShapesDocument) -> list[ShapeMeasur
 
 def _planes(surface: Surface, kind: str, name: str, boxes: Sequence[SurfaceBox]) -> ShapeMeasure:
     """One plane, or two parallel ones, the upper first."""
-    parts = [_in_box(surface, box, name) for box in boxes]
+    parts = [_points_in_box(surface, box, name) for box in boxes]
     alike = zip(*((part.xyz_mm, part.own_mm2, part.modes_mm) for part in parts), strict=True)
     points = MeasuredPoints(*map(np.concatenate, alike))
     which: Ints = np.repeat(np.arange(len(parts)), [len(part.xyz_mm) for part in parts])
@@ -680,7 +674,7 @@ def _planes(surface: Surface, kind: str, name: str, boxes: Sequence[SurfaceBox])
     return _measure(kind, name, fit_shape(start, points, f"{kind} {name!r}"), points)
 
 
-def _in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoints:
+def _points_in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoints:
     """The surface's points in the box, at most MOST_POINTS of them."""
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
     inside: Mask = np.ones(x.shape, dtype=bool)

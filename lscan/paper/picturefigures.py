@@ -32,13 +32,13 @@ from lscan.records import BoardReading, Bytes, Floats, Status, Stripe, has_value
 _TABLE = packaged_table("lscan.paper", "figures.toml")
 
 
-def drawn(name: str, figure: Figure, /, **found: object) -> ReportFigure:
+def figure_of(name: str, figure: Figure, /, **found: object) -> ReportFigure:
     """The drawn figure with the words of that name, ``found`` put into them."""
     words = words_of(name, **found)
     return ReportFigure(**words, body=style.svg(figure, words["key"], words["alt"]))
 
 
-def photographed(name: str, image: Bytes, overlay: str = "", /, **found: object) -> ReportFigure:
+def photo_of(name: str, image: Bytes, overlay: str = "", /, **found: object) -> ReportFigure:
     """The picture as ``style.photograph`` has it, with the words of that name."""
     words = words_of(name, **found)
     return ReportFigure(**words, body=style.photograph(image, overlay, words["alt"]))
@@ -95,7 +95,9 @@ def row_fits(board: BoardResult) -> RowFits:
     """The middle row of control points with its three fits, and with one point moved by 1 px."""
     rows, columns = board.reading.shape
     row, moved = rows // 2, columns // 2
-    shifted = _shift_mark(board.reading, row * columns + moved)
+    image_px = board.reading.grid.image_px.copy()
+    image_px[row * columns + moved, 1] -= 1.0  # one pixel higher in the picture (Fig. 33)
+    shifted = replace(board.reading, grid=replace(board.reading.grid, image_px=image_px))
     fits = {name: board.calibrations[name].plane_map for name in FITS}
     again = {name: calibrate(shifted, name).plane_map for name in FITS}
     lattice = slice(row * columns, (row + 1) * columns)
@@ -106,13 +108,6 @@ def row_fits(board: BoardResult) -> RowFits:
         shifted_px=shifted.grid.image_px[lattice],
         shifted_curves={name: _latitude(plane, at_mm) for name, plane in again.items()},
     )
-
-
-def _shift_mark(reading: BoardReading, index: int) -> BoardReading:
-    """The reading with one control point one pixel higher in the picture (Fig. 33)."""
-    image_px = reading.grid.image_px.copy()
-    image_px[index, 1] -= 1.0
-    return replace(reading, grid=replace(reading.grid, image_px=image_px))
 
 
 def _latitude(plane_map: PlaneMap, at_mm: float) -> Floats:
@@ -139,7 +134,7 @@ def board_picture(image: Bytes, reading: BoardReading) -> ReportFigure:
     step = np.linalg.norm(np.diff(lattice, axis=1), axis=2)
     rows = step[np.isfinite(step).any(axis=1)]
     pitch = {"top": np.nanmean(rows[0]), "bottom": np.nanmean(rows[-1])}
-    return photographed("board", image, width=width, height=height, pitch=reading.pitch_mm, **pitch)
+    return photo_of("board", image, width=width, height=height, pitch=reading.pitch_mm, **pitch)
 
 
 def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
@@ -151,7 +146,7 @@ def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
         asked = sum(len(ruler.marks.status) for ruler in reading.rulers)
         found += f" and {seen} of {asked} marks of {len(reading.rulers)} rulers"
     outside = int((grid.status == Status.OUT_OF_VIEW).sum())
-    return photographed(
+    return photo_of(
         "control-points",
         draw_overlay(image, reading),
         found=found,
@@ -166,7 +161,9 @@ def line_fits(row: RowFits) -> ReportFigure:
     figure, axes = style.panels(len(FITS), (style.WIDTH_IN, 1.4 * len(FITS) + 0.4))
     notes = []
     for panel, (name, (title, colour)) in zip(axes, FITS.items(), strict=True):
-        rms, worst = _residual(row.points_px, row.curves[name])
+        points = row.points_px[np.isfinite(row.points_px).all(axis=1)]
+        off = np.abs(points[:, 1] - _across(row.curves[name], points[:, 0]))  # in v, px
+        rms, worst = float(np.sqrt(np.mean(off**2))), float(off.max())
         notes.append(f"{title} {rms:.2f} px rms, {worst:.2f} px at most")
         panel.plot(*row.curves[name].T, color=colour)
         _mark(panel, row.points_px)
@@ -175,18 +172,11 @@ def line_fits(row: RowFits) -> ReportFigure:
         panel.invert_yaxis()
     axes[-1].set_xlabel("u / px")
     fits = ", ".join(title for title, _ in FITS.values())
-    return drawn("line-fits", figure, fits=fits, distances="; ".join(notes))
+    return figure_of("line-fits", figure, fits=fits, distances="; ".join(notes))
 
 
 def _mark(panel: Axes, points: Floats, colour: str = style.INK) -> None:
     panel.plot(*points.T, "x", color=colour, markersize=5, markeredgewidth=1.0)
-
-
-def _residual(points: Floats, curve: Floats) -> tuple[float, float]:
-    """Rms and largest |distance| in v between points and curve, px."""
-    points = points[np.isfinite(points).all(axis=1)]
-    off = np.abs(points[:, 1] - _across(curve, points[:, 0]))
-    return float(np.sqrt(np.mean(off**2))), float(off.max())
 
 
 def _across(curve: Floats, u: Floats) -> Floats:
@@ -218,7 +208,7 @@ def sensitivity(row: RowFits, name: str, paper: str) -> ReportFigure:
     differences.set_ylabel("change of v / px")
     differences.set_xlabel("u / px")
     sign = 1.0 if abs(change.max()) >= abs(change.min()) else -1.0
-    return drawn(
+    return figure_of(
         "sensitivity",
         figure,
         plane_map=name,
@@ -251,7 +241,9 @@ def ruler(curve: DrawnConversion) -> ReportFigure:
     axes.set_ylabel("z / mm")
     scale = np.abs(np.gradient(curve.curve_mm, curve.curve_px))
     marks = len(curve.marks_px)
-    return drawn("ruler", figure, at=curve.at_mm, marks=marks, least=scale.min(), most=scale.max())
+    return figure_of(
+        "ruler", figure, at=curve.at_mm, marks=marks, least=scale.min(), most=scale.max()
+    )
 
 
 # Figures of the laser line: snapshots with the stripe found, and one column's intensities.
@@ -265,7 +257,7 @@ _COLOURS = (style.FIRST, style.SECOND, style.THIRD)
 def groove_snapshot(pictures: LinePictures) -> ReportFigure:
     """The laser line on the grooved block (Fig. 21)."""
     stripe = pictures.stripe
-    return photographed("groove", pictures.images[0], _traced(stripe), line=_describe(stripe))
+    return photo_of("groove", pictures.images[0], _line_spots(stripe), line=_describe(stripe))
 
 
 def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
@@ -275,11 +267,11 @@ def sandwave_snapshot(pictures: LinePictures, column: int) -> ReportFigure:
     """
     image, stripe = pictures.images[0], pictures.stripe
     dashes = f'd="M{column},0V{image.shape[0]}" stroke-width="0.8" stroke-dasharray="4 4"'
-    overlay = f'{_traced(stripe)}<path {dashes} stroke="{_COLUMN}"/>'
-    return photographed("sandwave", image, overlay, line=_describe(stripe), column=column)
+    overlay = f'{_line_spots(stripe)}<path {dashes} stroke="{_COLUMN}"/>'
+    return photo_of("sandwave", image, overlay, line=_describe(stripe), column=column)
 
 
-def _traced(stripe: Stripe) -> str:
+def _line_spots(stripe: Stripe) -> str:
     return style.spots(stripe.image_px, _FOUND, 1.1)
 
 
@@ -318,7 +310,10 @@ def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
         for k, (red, colour) in enumerate(zip(reds, _COLOURS, strict=False), start=1):
             axes.plot(red[:, column], color=colour, linewidth=1.0, label=f"frame {k}")
         axes.set_ylabel("red / DN")
-    _draw_centres(close, relative, raw)
+    for centres, dash in ((relative, "--"), (raw, ":")):
+        for centre, colour in zip(centres, _COLOURS, strict=False):
+            if np.isfinite(centre):
+                close.axvline(centre, color=colour, linewidth=0.9, linestyle=dash)
     peak = int(reds[0][:, column].argmax())
     close.set_xlim(peak - _ZOOM_PX, peak + _ZOOM_PX)
     close.set_xlabel("v / px")
@@ -326,13 +321,13 @@ def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
     close.set_title("(b) near the peak")
     style.legend(whole)
     whole.set_xlim(0, len(reds[0]) - 1)
-    return drawn(
+    return figure_of(
         "intensities",
         figure,
         column=column,
         frames=len(reds),
-        relative=_spread("relative", relative, paper.CENTRES_RELATIVE_PX),
-        raw=_spread("raw", raw, paper.CENTRES_RAW_PX),
+        relative=_spread_sentence("relative", relative, paper.CENTRES_RELATIVE_PX),
+        raw=_spread_sentence("raw", raw, paper.CENTRES_RAW_PX),
     )
 
 
@@ -342,14 +337,7 @@ def _centre(extractor: str, red: Floats, column: int) -> float:
     return float(stripe.centre_px[column])
 
 
-def _draw_centres(axes: Axes, relative: Sequence[float], raw: Sequence[float]) -> None:
-    for centres, dash in ((relative, "--"), (raw, ":")):
-        for centre, colour in zip(centres, _COLOURS, strict=False):
-            if np.isfinite(centre):
-                axes.axvline(centre, color=colour, linewidth=0.9, linestyle=dash)
-
-
-def _spread(kind: str, centres: Sequence[float], printed: Sequence[float]) -> str:
+def _spread_sentence(kind: str, centres: Sequence[float], printed: Sequence[float]) -> str:
     """One sentence on the centres by one kind of intensity, and on the paper's."""
     theirs = f"{max(printed) - min(printed):.4f} px in the paper"
     if not np.isfinite(centres).all():

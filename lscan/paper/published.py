@@ -63,7 +63,7 @@ PrintedTable = Mapping[str, Mapping[str, PrintedLength]]
 _PRINTED = packaged_table("lscan.paper", "published.toml")
 
 
-def _by_method(table: str) -> PrintedTable:
+def _rows_by_method(table: str) -> PrintedTable:
     """A table with rows of the nominal length and, in the order of ``OUR_MAPS``, the fits'."""
     return {
         feature: {
@@ -74,10 +74,10 @@ def _by_method(table: str) -> PrintedTable:
     }
 
 
-TABLE_1 = _by_method("table-1")
+TABLE_1 = _rows_by_method("table-1")
 """Table I, distances between known points: feature, then fitting method."""
 
-TABLE_2 = _by_method("table-2")
+TABLE_2 = _rows_by_method("table-2")
 """Table II, diameters of circles: feature, then fitting method."""
 
 TABLE_3: Mapping[str, PrintedLength] = {

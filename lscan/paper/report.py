@@ -64,7 +64,7 @@ def render_report(experiment: Experiment, bars: Bars | None = None) -> str:
     sections = _sections(experiment, bars)
     scripts = [figure.script for part in sections.values() for figure in part if figure.script]
     tables = [
-        replace(table, caption=_noted(table.caption, sources, table.parts))
+        replace(table, caption=_caption(table.caption, sources, table.parts))
         for table in paper_tables(experiment, bars)
     ]
     return page_template("lscan.paper", "report.html.j2", unbroken=_unbroken).render(
@@ -93,7 +93,7 @@ def _sections(experiment: Experiment, bars: Bars) -> dict[str, list[ReportFigure
 
     return {
         heading: [
-            replace(figure, caption=_noted(figure.caption, experiment.sources, parts))
+            replace(figure, caption=_caption(figure.caption, experiment.sources, parts))
             for figures, parts in groups
             for figure in figures
         ]
@@ -101,7 +101,7 @@ def _sections(experiment: Experiment, bars: Bars) -> dict[str, list[ReportFigure
     }
 
 
-def _noted(caption: str, sources: Sources, parts: Sequence[str]) -> str:
+def _caption(caption: str, sources: Sources, parts: Sequence[str]) -> str:
     """The caption, saying where the pictures of these parts come from."""
     return f"{caption} {note(sources, parts)}".rstrip()
 

@@ -14,7 +14,7 @@ from lscan.figures.page import ReportFigure, signed
 from lscan.figures.style import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
-from lscan.paper.picturefigures import drawn, words_of
+from lscan.paper.picturefigures import figure_of, words_of
 from lscan.paper.published import YAW_DEG
 from lscan.pipeline import SandwaveMeasures
 from lscan.records import Floats, Mask, Status
@@ -36,7 +36,7 @@ def raw_relief(xyz_mm: Floats) -> ReportFigure:
     centred = points - points.mean(axis=0)
     slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
     along_x, along_y = (signed(tilt, 2) for tilt in np.degrees(np.arctan(slopes)))
-    return drawn(
+    return figure_of(
         "raw",
         figure,
         points=int(np.isfinite(xyz_mm[..., 2]).sum()),
@@ -62,7 +62,7 @@ def levelled_relief(xyz_mm: Floats, alignment: Alignment) -> ReportFigure:
     figure, axes, gain = _draw_relief(levelled)
     _draw_base_plane(axes, levelled, (left, right), gain)
     apart = np.linalg.norm(right - left)
-    return drawn("levelled", figure, drawn=_describe(len(xyz_mm), gain), apart=apart)
+    return figure_of("levelled", figure, drawn=_describe(len(xyz_mm), gain), apart=apart)
 
 
 def _describe(frames: int, gain: float) -> str:
@@ -181,7 +181,7 @@ def contours_before(sandwave: SandwaveMeasures, waves: Mask) -> ReportFigure:
         total_mm = track_mm * np.tan(abs(alignment.yaw_rad))
         shift = f", {total_mm:.1f} mm over {track_mm:.0f} mm at the yaw found, "
         shift += f"{alignment.yaw_deg:.3f}°"
-    return drawn("contours-before", figure, shift=shift, contours=contours)
+    return figure_of("contours-before", figure, shift=shift, contours=contours)
 
 
 @style.styled
@@ -195,7 +195,7 @@ def contours_after(sandwave: SandwaveMeasures, waves: Mask) -> ReportFigure:
     yaw_deg = sandwave.alignment.yaw_deg
     yaw = "" if yaw_deg is None else f" by the yaw found, {yaw_deg:.3f}° ({_PAPERS_YAW})"
     names = ", ".join(sandwave.slices)
-    return drawn("contours-after", figure, yaw=yaw, slices=names, contours=contours)
+    return figure_of("contours-after", figure, yaw=yaw, slices=names, contours=contours)
 
 
 def contour_step(low_mm: float, high_mm: float) -> float:
@@ -292,11 +292,21 @@ def slice_plot(
     heights.set_ylabel("z / mm")
     style.legend(heights)
     _draw_error(below, cut, errors, bar_mm)
+    missing = ~np.isfinite(cut.z_mm)
     for panel in (heights, below):
-        _shade_gaps(panel, cut)
+        panel.fill_between(
+            cut.along_mm,
+            0,
+            1,
+            where=missing,
+            transform=panel.get_xaxis_transform(),
+            color=style.RULE,
+            linewidth=0,
+            step="mid",
+        )
     below.set_xlabel(f"along {name} / mm")
     compared = np.isfinite(errors.error_mm)
-    return drawn(
+    return figure_of(
         "slice",
         figure,
         name=name,
@@ -320,14 +330,6 @@ def _draw_error(axes: Axes, cut: Slice, errors: SliceErrors, bar_mm: float) -> N
     reach = 1.15 * max(bar_mm, float(np.nanmax(np.abs(error))))
     axes.set_ylim(-reach, reach)
     axes.set_ylabel("error / mm")
-
-
-def _shade_gaps(axes: Axes, cut: Slice) -> None:
-    missing = ~np.isfinite(cut.z_mm)
-    whole, colour = axes.get_xaxis_transform(), style.RULE
-    axes.fill_between(
-        cut.along_mm, 0, 1, where=missing, transform=whole, color=colour, linewidth=0, step="mid"
-    )
 
 
 def _gaps(cut: Slice, skipped: int) -> str:

@@ -35,7 +35,7 @@ from lscan.roughness.spectra import (
     RoughnessMoments,
     by_rings,
     capon_spectrum,
-    detrended,
+    detrend,
     moments,
     patch_spectrum,
     profile_spectrum,
@@ -228,7 +228,7 @@ def _profile_spectra(patch: Patch, axis: int) -> dict[str, ProfileSpectrum]:
     found = {}
     with suppress(MeasurementError):  # every profile has a hole
         found["multitaper"] = profile_spectrum(patch, axis)
-    heights, seen = detrended(patch), patch.seen
+    heights, seen = detrend(patch), patch.seen
     if axis == 0:
         heights, seen = heights.T, seen.T
     count = heights.shape[1]

@@ -25,19 +25,15 @@ from lscan.surface.surface import require_head_frame
 # What an extractor shows of waves that are as fine as the laser's sheet is thick.
 #
 # Light before and behind the sheet's middle plane meets the seabed at other heights, and an
-# extractor
-# weighs it by rules of its own: a threshold cuts a line's skirts off, and a fit by likelihood
-# under
-# speckle, whose deviation grows with the light, heeds the skirts more than a centroid does.  So
-# the
-# extractor itself is shown lines on waves, one a column, and what it says of them is the gain.
+# extractor weighs it by rules of its own: a threshold cuts a line's skirts off, and a fit by
+# likelihood under speckle, whose deviation grows with the light, heeds the skirts more than a
+# centroid does.  So the extractor itself is shown lines on waves, one a column, and what it says of
+# them is the gain.
 #
 # Light at the distance y from the middle plane appears in the picture at tau y + h(y) across the
-# line, h being the wave, and as bright as the irradiance g(y): a surface is as bright from
-# wherever
+# line, h being the wave, and as bright as the irradiance g(y): a surface is as bright from wherever
 # it is seen (lscan/surface/sheetresponse.py, of which the whole line's centroid is the closed
-# form).
-# The lens and the pixels blur that.
+# form).  The lens and the pixels blur that.
 
 
 FARTHEST = 5.0  # 2 pi k sigma, up to which the gain is found
@@ -210,15 +206,15 @@ class ScannerResponse:
         along_y, along_x : array or float, rad/cm
         """
         along_y, along_x = np.asarray(along_y), np.asarray(along_x)
-        passed = np.mean([self._of_sheet(along_y + k * along_x) ** 2 for k in self.aside], axis=0)
+        passed = np.mean([self._sheet_gain(along_y + k * along_x) ** 2 for k in self.aside], axis=0)
         passed = passed * np.exp(-((along_x * self.blur_cm) ** 2))
         passed = passed * np.sinc(along_x * self.pixel_cm / (2 * np.pi)) ** 2
         if self.corrected_px:
             passed = passed * correction_gain(along_x * self.pixel_cm, self.corrected_px) ** 2
         halves = (along * self.cell_cm / 2 for along in (along_y, along_x))
-        return np.asarray(passed * _of_quadratic(*halves) ** 2)
+        return np.asarray(passed * _gain_of_quadratic(*halves) ** 2)
 
-    def _of_sheet(self, across: Floats) -> Floats:
+    def _sheet_gain(self, across: Floats) -> Floats:
         """Gain of the amplitude of waves of so many rad/cm across the sheet, along a sight."""
         if self.reading is not None:
             return self.reading.at(across * self.sheet_cm)
@@ -237,7 +233,7 @@ class ScannerResponse:
         return np.asarray((passed >= LEAST_PASSED) & (less >= passed * 10 ** (-FARTHEST_DB / 10)))
 
 
-def _of_quadratic(half_y: Floats, half_x: Floats) -> Floats:
+def _gain_of_quadratic(half_y: Floats, half_x: Floats) -> Floats:
     """What the middle of a quadratic through cos(h_y s + h_x t), over a square, keeps of it.
 
     It is 7/2 <f> - 15/4 (<s² f> + <t² f>), means over -1 to 1, by least squares.
@@ -348,7 +344,10 @@ def response_of(rig: Rig, surface: Surface, peak_dn: float | None = None) -> Sca
         raise InputError("is needed where the rig has a [sheet]", where="peak_dn")
     sigma_mm = rig.sheet.thickness_mm / 2
     points = surface.xyz_mm[good]
-    sheet_px = sigma_mm * _seen_across(rig.sheet, points) / pixel_mm
+    # mm across the line of sight for each mm from the sheet's middle plane
+    down = rig.sheet.camera_mm[2] - float(points[:, 2].mean())
+    across = abs(down) / float(np.hypot(down, rig.sheet.camera_mm[1]))
+    sheet_px = sigma_mm * across / pixel_mm
     return replace(
         along,
         sheet_cm=sigma_mm / MM_PER_CM,
@@ -383,9 +382,3 @@ def corrected_blur_px(surface: Surface) -> float:
     """
     told = [BLUR.fullmatch(done) for done in surface.corrections]
     return next((float(one[1]) for one in told if one), 0.0)
-
-
-def _seen_across(sheet: SheetSection, points_mm: Floats) -> float:
-    """mm across the line of sight for each mm from the sheet's middle plane, amid (N, 3) points."""
-    down = sheet.camera_mm[2] - float(points_mm[:, 2].mean())
-    return abs(down) / float(np.hypot(down, sheet.camera_mm[1]))

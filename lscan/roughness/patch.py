@@ -208,8 +208,11 @@ def patch_of_profiles(surface: Surface, cell_mm: float | None = None) -> Patch:
     cell = every * abs(step_mm)
     low, high = np.nanpercentile(np.where(good, along, np.nan)[rows], (0.5, 99.5))
     places = np.arange(low, high, cell)
-    variance = _own_variance(surface)
-    kept = [_resampled(along[r], surface.xyz_mm[r, :, 2], good[r], places) for r in rows]
+    variance = surface.sigma_z_mm**2
+    if surface.modes_mm is not None:  # a point's own noise, less what it shares with all others
+        variance = variance - (surface.modes_mm[..., 2, :] ** 2).sum(axis=-1)
+    variance = np.maximum(variance, 0.0)
+    kept = [_resample(along[r], surface.xyz_mm[r, :, 2], good[r], places) for r in rows]
     z, seen = (np.stack(part) for part in zip(*kept, strict=True))
     apart = float(np.median(np.concatenate([np.diff(along[r][good[r]]) for r in rows])))
     points_cells = max(apart / cell, 1.0)
@@ -243,7 +246,7 @@ def _spacing(across: Floats, good: Mask, rows: Ints) -> float:
     return float(step)
 
 
-def _resampled(along: Floats, z: Floats, good: Mask, places: Floats) -> tuple[Floats, Mask]:
+def _resample(along: Floats, z: Floats, good: Mask, places: Floats) -> tuple[Floats, Mask]:
     """(C,) heights at places along a profile, 0 in holes, and where they are none."""
     order = np.argsort(along[good])
     s, height = along[good][order], z[good][order]
@@ -260,11 +263,3 @@ def _resampled(along: Floats, z: Floats, good: Mask, places: Floats) -> tuple[Fl
             found[inside] = CubicSpline(s[first:last], height[first:last])(places[inside])
             seen |= inside
     return found, seen
-
-
-def _own_variance(surface: Surface) -> Floats:
-    """(F, N) mm², of a point's own noise: less what it shares with all others."""
-    variance = surface.sigma_z_mm**2
-    if surface.modes_mm is not None:
-        variance = variance - (surface.modes_mm[..., 2, :] ** 2).sum(axis=-1)
-    return np.maximum(variance, 0.0)

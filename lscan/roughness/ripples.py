@@ -14,7 +14,7 @@ from lscan.errors import MeasurementError
 from lscan.records import Floats, Ints
 from lscan.roughness.instrument import ScannerResponse
 from lscan.roughness.patch import Patch, wavenumbers
-from lscan.roughness.spectra import detrended
+from lscan.roughness.spectra import detrend
 
 HARMONICS = 12
 """With the wave itself: of a crest as sharp as that of 1 - |sin| 2.5 % of the height is beyond."""
@@ -151,7 +151,7 @@ def _waves(patch: Patch, wavenumber_per_cm: Floats, orders: int) -> Floats:
 
 def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:
     """(2,) rad/cm along y and x of the highest value over its surroundings; None where none is."""
-    z, shape = detrended(patch), tuple(FINE * count for count in patch.z_cm.shape)
+    z, shape = detrend(patch), tuple(FINE * count for count in patch.z_cm.shape)
     taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z.shape))
     power = np.abs(np.fft.fft2(z * taper, shape)) ** 2
     # The median of the noise's own periodogram: where it is all there is, a ring's is no measure.
@@ -229,7 +229,7 @@ def ripple_spread(patch: Patch, train: RippleTrain) -> RippleSpread:
 
 
 def _periodogram(patch: Patch) -> Floats:
-    z_cm = detrended(patch)
+    z_cm = detrend(patch)
     taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z_cm.shape))
     shape = [PADDING * count for count in z_cm.shape]
     power: Floats = np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2

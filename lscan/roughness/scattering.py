@@ -252,11 +252,11 @@ def backscattering_strength(
     cosine, sine = _cosine_and_sine(grazing_deg)
     if model == "small roughness":
         density = law.density(0.0, 2 * k * np.maximum(cosine, 1e-9))
-        shape = sine**4 * _perturbed(bottom, cosine, sine)
+        shape = sine**4 * _perturbation_factor(bottom, cosine, sine)
     else:
         density = _density_of_slopes(law, k, cosine, sine)
         shape = (
-            sine**4 * _perturbed(bottom, cosine, sine)
+            sine**4 * _perturbation_factor(bottom, cosine, sine)
             if model == "small slope"
             else np.full_like(sine, abs(reflection(bottom, 90.0)) ** 2)
         )
@@ -365,7 +365,7 @@ def _density_of_slopes(law: PowerLaw, k: float, cosine: Floats, sine: Floats) ->
     return kirchhoff_integral(q, 2 * a) / (2 * pi * down**2 * along**2)
 
 
-def _perturbed(bottom: Sediment, cosine: Floats, sine: Floats) -> Floats:
+def _perturbation_factor(bottom: Sediment, cosine: Floats, sine: Floats) -> Floats:
     """|Y|² of TR 9407: how well a small height scatters."""
     heavy, index = bottom.density_ratio, _index(bottom)
     below = np.sqrt(index**2 - cosine**2)

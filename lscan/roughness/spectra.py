@@ -72,7 +72,7 @@ class ProfileSpectrum:
     profiles: int
 
 
-def detrended(patch: Patch) -> Floats:
+def detrend(patch: Patch) -> Floats:
     """(R, C) cm, heights less their best plane; 0 in holes.
 
     Parameters
@@ -113,7 +113,7 @@ def patch_spectrum(patch: Patch, tapers: int = TAPERS) -> PatchSpectrum:
     patch : Patch
     tapers : int, along either side
     """
-    z, shape = detrended(patch), patch.z_cm.shape
+    z, shape = detrend(patch), patch.z_cm.shape
     along_y, along_x = (sine_tapers(count, tapers) for count in shape)
     total = np.zeros(shape)
     for one in along_y:
@@ -382,7 +382,7 @@ def moments(patch: Patch) -> RoughnessMoments:
     MeasurementError
         The noise is as large as the roughness.
     """
-    z = detrended(patch)
+    z = detrend(patch)
     heights = z[patch.seen]
     square = float((heights**2).mean()) - patch.points_noise_cm2
     if square <= 0:
@@ -409,7 +409,7 @@ def structure_function(patch: Patch, axis: int) -> StructureFunction:
     patch : Patch
     axis : int, 0: along y, 1: along x
     """
-    z, seen = detrended(patch), patch.seen.astype(float)
+    z, seen = detrend(patch), patch.seen.astype(float)
     if axis == 0:
         z, seen = z.T, seen.T
     count = z.shape[1]

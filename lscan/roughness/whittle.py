@@ -18,7 +18,7 @@ likelihood of a random field on a grid with holes, and the covariance of its est
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.fft import fft, irfft2, next_fast_len, rfft2
@@ -33,8 +33,7 @@ from lscan.roughness.spectra import PowerLaw
 # Differences of a patch's cells: their periodogram, and what it is expected to be.
 #
 # The covariance of differences is the differences of the cells' own covariance, at every lag: one
-# sum
-# over wavenumbers serves all differences of a patch.
+# sum over wavenumbers serves all differences of a patch.
 
 
 Known = Callable[[Floats, Floats], Mask]
@@ -66,7 +65,7 @@ class CovarianceSum:
     @cached_property
     def plane(self) -> tuple[Floats, Floats]:
         """(P, 1) and (1, Q) rad/cm along y and x, x not negative: a real field's other half."""
-        rows, columns = self._padded
+        rows, columns = self._padded_shape
         y, _ = wavenumbers((rows, 1), self.cell_cm)
         x = 2 * np.pi * np.fft.rfftfreq(columns, self.cell_cm)
         return y, np.asarray(x, dtype=float)[np.newaxis, :]
@@ -78,7 +77,7 @@ class CovarianceSum:
         ----------
         density_cm4 : (P, Q) array, cm^4, on ``plane``
         """
-        summed = irfft2(density_cm4, self._padded) * (2 * np.pi / self.cell_cm) ** 2
+        summed = irfft2(density_cm4, self._padded_shape) * (2 * np.pi / self.cell_cm) ** 2
         return np.asarray(summed[np.ix_(*(np.arange(1 - count, count) for count in self.shape))])
 
     def of_noise(self, variance_cm2: float) -> Floats:
@@ -94,7 +93,7 @@ class CovarianceSum:
         return found
 
     @property
-    def _padded(self) -> tuple[int, int]:
+    def _padded_shape(self) -> tuple[int, int]:
         rows, columns = (next_fast_len(PADDING * count, real=True) for count in self.shape)
         return rows, columns
 
@@ -181,13 +180,13 @@ def differences_of(
     for axis in (0, 1):
         both = np.diff(seen.astype(int), axis=axis) == 0
         there = both & np.take(seen, range(seen.shape[axis] - 1), axis=axis)
-        y, x = _shown(there.shape, cell)
+        y, x = _half_wavenumbers(there.shape, cell)
         chosen = _chosen(there.shape, band, cell, known)
         chosen &= np.abs(y) > np.abs(x) if axis == 0 else np.abs(x) >= np.abs(y)
-        yield Differences(_along(axis), -1, _taper(there), chosen, cell)
+        yield Differences(partial(np.diff, axis=axis - 2), -1, _taper(there), chosen, cell)
 
 
-def _shown(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, Floats]:
+def _half_wavenumbers(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, Floats]:
     """Wavenumbers of a periodogram, of a real field's each once: those along y from 0 on."""
     rows, columns = shape
     y, x = wavenumbers((rows, columns), cell_cm)
@@ -195,7 +194,7 @@ def _shown(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, Floats]:
 
 
 def _chosen(shape: tuple[int, ...], band: Band, cell_cm: float, known: Known | None) -> Mask:
-    y, x = _shown(shape, cell_cm)
+    y, x = _half_wavenumbers(shape, cell_cm)
     size, end = np.hypot(y, x), np.pi / cell_cm * (1 - 1e-9)
     chosen = (size >= band.low_per_cm) & (size <= band.high_per_cm)
     chosen &= (y > 0) | (x > 0)
@@ -207,10 +206,6 @@ def _taper(there: Mask) -> Floats:
     """The first sine taper (Riedel & Sidorenko, IEEE Trans. Signal Processing 43, 188, 1995)."""
     sines = (np.sin(np.pi * (np.arange(n) + 1) / (n + 1)) for n in there.shape)
     return np.asarray(np.outer(*sines) * there)
-
-
-def _along(axis: int) -> Callable[[Floats], Floats]:
-    return lambda z: np.diff(z, axis=axis - 2)
 
 
 def _laplacian(z: Floats) -> Floats:
@@ -466,7 +461,7 @@ class _Likelihood:
         expected = self.expected(theta)
         slopes = self._derivatives(theta, expected)
         scores = []
-        for number, z in enumerate(self._simulated(law_of(theta), seed, simulated), start=1):
+        for number, z in enumerate(self._simulate_patches(law_of(theta), seed, simulated), start=1):
             values = np.concatenate([part.periodogram(z) for part in self._parts])
             scores.append(slopes.T @ (values / expected - 1))
             if progress is not None:
@@ -474,7 +469,7 @@ class _Likelihood:
         inverse = np.linalg.inv(slopes.T @ slopes)
         return np.asarray(inverse @ np.cov(np.array(scores).T) @ inverse)
 
-    def _simulated(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
+    def _simulate_patches(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
         """(R, C) cm, patches of a law as the instrument shows it."""
         patch, generator = self._patch, np.random.default_rng([seed, 17])
         rows, columns = patch.z_cm.shape

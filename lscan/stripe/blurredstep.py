@@ -167,7 +167,7 @@ def fit_steps(
         else:
             counts = weight * (t.min(axis=0) > FAINTEST)
         used = order[counts[order] > 0]
-        model = _modelled(samples, state, used, t[:, used])
+        model = _step_model(samples, state, used, t[:, used])
         if weight is None:
             # Outliers are told by a fit to all: told by one without them they would be its own.
             first = _solve(model, state, counts[used], limits.unmodelled, prior)
@@ -177,7 +177,7 @@ def fit_steps(
         # Steps that turn back overshoot: without shorter ones they go to and fro for ever.
         share = share / 2 if solution.step @ before < 0 else min(1.0, GROWS * share)
         before = solution.step
-        state = _advanced(state, share * solution.step, solution.scatter, limits)
+        state = _next_state(state, share * solution.step, solution.scatter, limits)
         if np.abs(solution.step[:size]).max() < SETTLED_MM:  # not its share: that can be small
             break
     return StepFit(state.place, solution.covariance[:size, :size], counts)
@@ -231,8 +231,8 @@ class _StepModel:
 
     begin: (S + 1,) where the stretches begin, and where the last ends.  stretch: (n,).  terms:
     (L, n) of the level.  total: (n,) share of the level that is left.  brightness: (n,).  changes:
-    (A + 2, n) of total relative to itself, with the places, the width and the wall.  unknowns: as
-    of ``_unknowns``.
+    (A + 2, n) of total relative to itself, with the places, the width and the wall.  unknowns:
+    (S, A + 3) numbers of a stretch's among all, -1 for none.
     """
 
     begin: Ints
@@ -244,7 +244,7 @@ class _StepModel:
     unknowns: Ints
 
 
-def _modelled(samples: StepSamples, state: _StepState, used: Ints, t: Floats) -> _StepModel:
+def _step_model(samples: StepSamples, state: _StepState, used: Ints, t: Floats) -> _StepModel:
     """The model of the used samples, (n,) stretch by stretch; t: their depth in widths."""
     stretch = samples.stretch[used]
     width = state.width[samples.group[stretch]]
@@ -254,6 +254,11 @@ def _modelled(samples: StepSamples, state: _StepState, used: Ints, t: Floats) ->
     by_t = density * (1 - wall * t) / share / width
     by_place = (by_t[:, None] * samples.by_place[:, :, used]).sum(axis=0)
     by_width, by_wall = -(by_t * t).sum(axis=0), (density / share).sum(axis=0)
+    # Numbers of each stretch's places, width and wall among all unknowns, -1 for none, and of its
+    # brightness, which comes after them.
+    sizes = np.cumsum([len(state.place), len(state.width), len(state.wall)])
+    walls = np.where(samples.wall < 0, -1, sizes[1] + samples.wall)
+    last = np.full(len(walls), sizes[2])
     return _StepModel(
         begin=np.searchsorted(stretch, np.arange(len(samples.group) + 1)),
         stretch=stretch,
@@ -261,7 +266,7 @@ def _modelled(samples: StepSamples, state: _StepState, used: Ints, t: Floats) ->
         total=share.prod(axis=0),
         brightness=samples.brightness[used],
         changes=np.vstack([by_place, by_width, by_wall]),
-        unknowns=_unknowns(samples, state),
+        unknowns=np.column_stack([samples.places, sizes[0] + samples.group, walls, last]),
     )
 
 
@@ -338,18 +343,7 @@ def _sums(rows: Floats, begin: Ints) -> Floats:
     return np.array([part @ part.T for part in parts])
 
 
-def _unknowns(samples: StepSamples, state: _StepState) -> Ints:
-    """(S, A + 3) numbers of a stretch's places, width and wall among all unknowns, -1 for none.
-
-    The last is that of the brightness itself, which is numbered after them.
-    """
-    sizes = np.cumsum([len(state.place), len(state.width), len(state.wall)])
-    wall = np.where(samples.wall < 0, -1, sizes[1] + samples.wall)
-    last = np.full(len(wall), sizes[2])
-    return np.column_stack([samples.places, sizes[0] + samples.group, wall, last])
-
-
-def _advanced(state: _StepState, step: Floats, scatter: float, limits: StepLimits) -> _StepState:
+def _next_state(state: _StepState, step: Floats, scatter: float, limits: StepLimits) -> _StepState:
     """The state after a bounded step; scatter: of the residuals before it."""
     sizes = [len(state.place), len(state.width), len(state.wall)]
     place, width, wall, _ = np.split(step, np.cumsum(sizes))

@@ -19,7 +19,7 @@ line without noise up to the second derivative of v.  What the line's own thickn
 across it has no part in them: a centroid is linear in the light.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -132,21 +132,12 @@ def line_flux(stripe: Stripe, light: GreyValues) -> Floats:
     return flux
 
 
-@dataclass(frozen=True)
-class _Derivatives:
-    """Value, first and half second derivative by column, each (N,), and their covariances.
+def _derivatives(values: Floats, sigma: Floats, run: Ints) -> tuple[Floats, Floats]:
+    """(N, 3) value, first and half second derivative by column, and their covariances (N, 3, 3).
 
-    of: (N, 3); NaN where the line is too short.  covariance: (N, 3, 3).
-    """
-
-    of: Floats
-    covariance: Floats
-
-
-def _derivatives(values: Floats, sigma: Floats, run: Ints) -> _Derivatives:
-    """Those of the local quadratics through (N,) values of standard uncertainty ``sigma``.
-
-    The values are taken to scatter by no less than they do about the quadratic.
+    They are those of the local quadratics through (N,) values of standard uncertainty ``sigma``,
+    which are taken to scatter by no less than they do about the quadratic; NaN where the line is
+    too short.
     """
     steps = np.arange(-REACH_PX, REACH_PX + 1)
     powers, inverses = _quadratics()
@@ -160,7 +151,7 @@ def _derivatives(values: Floats, sigma: Floats, run: Ints) -> _Derivatives:
     scatter = (residual**2).sum(axis=1) / np.maximum(count - 3, 1)
     stated = np.where(used, sigma[inside] ** 2, 0.0).sum(axis=1) / np.maximum(count, 1)
     covariance = inverse * np.maximum(scatter, stated)[:, None, None]
-    return _Derivatives(fitted, covariance)
+    return fitted, covariance
 
 
 @lru_cache(maxsize=1)
@@ -178,17 +169,23 @@ def _quadratics() -> tuple[Floats, Floats]:
     return powers, inverses
 
 
-def _shift(centre: _Derivatives, flux: _Derivatives, spread: float) -> tuple[Floats, Floats]:
-    """(N,) displacement of the line by a blur of variance ``spread``, and its uncertainty, px."""
-    _, slope, half_curvature = centre.of.T
-    level, rise, half_bend = flux.of.T
+def _shift(
+    centre: tuple[Floats, Floats], flux: tuple[Floats, Floats], spread: float
+) -> tuple[Floats, Floats]:
+    """(N,) displacement of the line by a blur of variance ``spread``, and its uncertainty, px.
+
+    centre, flux: as of ``_derivatives``.
+    """
+    (of_centre, centre_covariance), (of_flux, flux_covariance) = centre, flux
+    _, slope, half_curvature = of_centre.T
+    level, rise, half_bend = of_flux.T
     level = np.where(level > 0, level, np.nan)
     relative = rise / level
     shift = spread * (slope * relative + half_curvature)
     by_centre = np.stack([np.zeros_like(slope), relative, np.ones_like(slope)], axis=-1)
     by_flux = np.stack([-slope * relative, slope, np.zeros_like(slope)], axis=-1) / level[:, None]
-    variance = np.einsum("ni,nij,nj->n", by_centre, centre.covariance, by_centre)
-    variance += np.einsum("ni,nij,nj->n", by_flux, flux.covariance, by_flux)
+    variance = np.einsum("ni,nij,nj->n", by_centre, centre_covariance, by_centre)
+    variance += np.einsum("ni,nij,nj->n", by_flux, flux_covariance, by_flux)
     next_term = spread**2 * half_curvature * 2 * half_bend / level
     return shift, np.sqrt(spread**2 * variance + next_term**2)
 
@@ -210,7 +207,7 @@ def smooth(stripe: Stripe, smooth_px: float) -> Stripe:
     """The stripe with each centre replaced by that of a parabola fitted to its neighbours.
 
     Every column has its own local quadratic regression, weighted by the distance, the columns' own
-    sigma_px and Tukey's biweight of the residuals.  Neighbours beyond a gap or a jump (pieces.py)
+    sigma_px and Tukey's biweight of the residuals.  Neighbours beyond a gap or a jump (peaks.py)
     have no part in it, and a column with fewer than six stays as it is.
 
     sigma_px is that of the regression, for columns that err independently: neighbours within

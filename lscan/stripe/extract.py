@@ -29,14 +29,14 @@ from lscan.records import (
 from lscan.stripe.api import Extractor, Picture, require_stripe, stripes_by, takes_integers
 from lscan.stripe.corrections import correct_blur, smooth
 from lscan.stripe.peaks import (
+    batch_by_kind,
     clipped_near,
     core_flux,
-    doubted,
-    in_one,
-    joined,
+    doubt_beside_edge,
+    join_stripes,
     line_width,
-    parted,
     pieces,
+    split_stripe,
     windows,
 )
 from lscan.stripe.picture import (
@@ -53,7 +53,7 @@ from lscan.stripe.returns import OneReturn, choose_return, withhold
 
 # The scatter of a line's centres as the line itself shows it, from column to column.
 #
-# A model of the noise (model.py) gives every pixel an error of its own.  In the pictures of most
+# A model of the noise (picture.py) gives every pixel an error of its own.  In the pictures of most
 # cameras that does not hold: colours are filled in from neighbours, edges sharpened, blocks of
 # pixels compressed together, and the target's texture shifts the light of many columns alike.
 # Errors that pixels share average out less, and a noise estimated from how neighbouring pixels
@@ -104,10 +104,10 @@ def at_least_seen(seen: Sequence[SeenLine]) -> list[Stripe]:
     ]
     lags = iter(shared_columns(list(compress(seen, enough))))
     each = zip(seen, enough, strict=True)
-    return [_enlarged(one[0], next(lags)) if many else one[0] for one, many in each]
+    return [_widen_sigma(one[0], next(lags)) if many else one[0] for one, many in each]
 
 
-def _enlarged(stripe: Stripe, lag: int) -> Stripe:
+def _widen_sigma(stripe: Stripe, lag: int) -> Stripe:
     """The same of a stripe whose columns share errors along ``lag`` columns."""
     run, sigma_px = pieces(stripe), stripe.sigma_px.copy()
     for status in (Status.OK, Status.SATURATED):
@@ -127,7 +127,7 @@ def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     Parameters
     ----------
     stripe : Stripe, px, of N entries
-    run : (N,) array, number of the piece each entry belongs to (pieces.py), -1 for none
+    run : (N,) array, number of the piece each entry belongs to (peaks.py), -1 for none
     lag : int, columns, from which on the centres' errors are independent; lags are left out at
         which the pieces hold fewer than 32 third differences, or less than eight stretches
     """
@@ -157,13 +157,13 @@ def shared_columns(seen: Sequence[SeenLine]) -> list[int]:
     ----------
     seen : sequence of SeenLine, of one picture each, in which some columns have a value
     """
-    scales = [line_width(light, at := _valued(one), crest[at]) for one, light, crest in seen]
+    scales = [line_width(light, at := _known_columns(one), crest[at]) for one, light, crest in seen]
     widths = _variances(seen, [max(scale, _FINEST_PX) for scale in scales]) if seen else []
     each = zip(seen, widths, scales, strict=True)
     return [_lag(stripe, width, scale) for (stripe, *_), width, scale in each]
 
 
-def _valued(stripe: Stripe) -> Ints:
+def _known_columns(stripe: Stripe) -> Ints:
     return np.flatnonzero(has_value(stripe.status))
 
 
@@ -200,7 +200,7 @@ def _variances(seen: Sequence[SeenLine], scales: Sequence[float]) -> list[Floats
     A weight about the middle m is that about 0 times exp(m k / s²) at the pixel k, but for a factor
     that all have in common, and so for none: of the weights about 0 powers of a number are left.
     """
-    valued = [_valued(stripe) for stripe, *_ in seen]
+    valued = [_known_columns(stripe) for stripe, *_ in seen]
     ends = np.cumsum([len(at) for at in valued])
     centre = np.concatenate([one.centre_px[at] for (one, *_), at in zip(seen, valued, strict=True)])
     row = np.rint(centre).astype(int)
@@ -283,8 +283,8 @@ def extract_stripe(
     contrast of the texture beside the line (edges.py).
 
     Where the settings do not state the noise, sigma_px is at least what the centres are seen to
-    scatter about their neighbours along the line (noise/along.py).  What they state does not hold
-    in a picture that was compressed as JPEG is, and is left out there (noise/coding.py).
+    scatter about their neighbours along the line.  What they state does not hold
+    in a picture that was compressed as JPEG is, and is left out there (picture.py).
 
     Parameters
     ----------
@@ -333,11 +333,13 @@ def extract_stripes(
         As ``extract_stripe``.
     """
     extractor = find_extractor(settings.extractor)
-    seen = [_seen(image, settings, background) for image, background in shown]
-    stripes = _called(
+    seen = [_seen_picture(image, settings, background) for image, background in shown]
+    stripes = _call_extractor(
         extractor, [(one.chosen.image, one.known, one.chosen.clipped) for one in seen]
     )
-    return in_one(_finished, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind)
+    return batch_by_kind(
+        _complete_stripes, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind
+    )
 
 
 class _SeenPicture(NamedTuple):
@@ -353,13 +355,13 @@ class _SeenPicture(NamedTuple):
         return self.known, self.chosen.image.shape, self.light.white is None
 
 
-def _seen(image: Bytes, settings: StripeSection, background: Bytes | None) -> _SeenPicture:
+def _seen_picture(image: Bytes, settings: StripeSection, background: Bytes | None) -> _SeenPicture:
     light, known = _light(image, settings, background)
     white = light.white is not None and bool(light.white.any())
     return _SeenPicture(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
 
 
-def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
+def _complete_stripes(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
     """The stripes that an extractor found, with all that it does not know of the pictures.
 
     found: of pictures of one kind.
@@ -369,27 +371,27 @@ def _finished(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
     white = [seen.light.white for seen in found_in if seen.light.white is not None]
     made_up = np.concatenate(white) if white else None
     clipped = np.concatenate([seen.chosen.clipped.T for seen in found_in])
-    whole = joined([stripe for stripe, _ in found])
+    whole = join_stripes([stripe for stripe, _ in found])
     whole = _mark_saturated(whole, clipped, made_up, settings.span_px)
     whole = withhold(whole, np.concatenate([seen.chosen.ambiguous for seen in found_in]))
-    stripes = list(map(_by_target, parted(whole, len(found)), found_in))
+    stripes = list(map(_doubt_by_target, split_stripe(whole, len(found)), found_in))
     if settings.noise is None:
         crests = [seen.chosen.crest for seen in found_in]
         stripes = at_least_seen(list(zip(stripes, lights, crests, strict=True)))
     for place, light in enumerate(lights):
         stripe = correct_blur(stripes[place], settings, light)
         stripes[place] = smooth(stripe, settings.smooth_px)
-    whole = joined(stripes)
-    return parted(replace(whole, flux=core_flux(whole, *lights)), len(found))
+    whole = join_stripes(stripes)
+    return split_stripe(replace(whole, flux=core_flux(whole, *lights)), len(found))
 
 
-def _by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
+def _doubt_by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
     """The stripe with what the target about the line makes doubtful."""
     light, threshold_dn = seen.chosen.image.T, seen.known.threshold_dn
     if seen.chosen.textured:
-        stripe = doubted(stripe, light, seen.light.grey, threshold_dn)
+        stripe = doubt_beside_edge(stripe, light, seen.light.grey, threshold_dn)
     if seen.light.others is not None:
-        stripe = doubted(stripe, light, seen.light.others, threshold_dn)
+        stripe = doubt_beside_edge(stripe, light, seen.light.others, threshold_dn)
     return stripe
 
 
@@ -421,7 +423,7 @@ def _light(
     return lit, settings
 
 
-def _called(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:
+def _call_extractor(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:
     """What the extractor says, with the axis set; InputError where it is no extractor.
 
     An extractor may come from another package: it cannot write into the picture, and its result
@@ -550,7 +552,7 @@ def extract_within(
     found = extract_stripe(_cut_off(image[box], inside, axis), settings, dark)
     across, along = (rows[0], columns[0]) if axis == "columns" else (columns[0], rows[0])
     whole = image.shape[1] if axis == "columns" else image.shape[0]
-    return _placed(_only(found, inside), int(along), float(across), whole)
+    return _stripe_in_picture(_only(found, inside), int(along), float(across), whole)
 
 
 def told_apart(first: Stripe, last: Stripe) -> tuple[Stripe, Stripe]:
@@ -593,7 +595,7 @@ def _only(stripe: Stripe, keep: Mask) -> Stripe:
     return withhold(stripe, outside, Status.NO_PEAK)
 
 
-def _placed(stripe: Stripe, along: int, across: float, whole: int) -> Stripe:
+def _stripe_in_picture(stripe: Stripe, along: int, across: float, whole: int) -> Stripe:
     """The stripe of a crop as one of the whole picture.
 
     along, across: px, where the crop begins.  whole: entries of the whole picture.

@@ -115,7 +115,7 @@ def parameters_of(
 
 # One step of Fisher's scoring for many lines at once.
 #
-# The noise of a pixel depends on its light (noise/model.py), so each step weighs the pixels by the
+# The noise of a pixel depends on its light (picture.py), so each step weighs the pixels by the
 # variance that the line fitted so far gives them.  A clipped pixel enters with the probability of
 # what it says: the light was at least this (a censored observation, Tobin 1958).
 
@@ -155,7 +155,7 @@ class LinePrior:
 
     Attributes
     ----------
-    mean : (K, 5) array, px and DN, expected parameters (crosssection.py)
+    mean : (K, 5) array, px and DN, expected parameters
     precision : (K, 5) array, 1/variance, 0 for nothing
     """
 
@@ -170,7 +170,7 @@ class LineSearch:
     Attributes
     ----------
     view : LineWindows, px and DN, of K columns; ``steps`` lie even about 0
-    start : (K, 5) array, px and DN, where the search begins (crosssection.py)
+    start : (K, 5) array, px and DN, where the search begins
     noise : Noise, of the pixels
     prior : LinePrior, of K lines
     """
@@ -264,7 +264,7 @@ class WeightedLines:
 
     Attributes
     ----------
-    jacobian : (5, n, K) array, derivative of the grey values by each parameter (crosssection.py)
+    jacobian : (5, n, K) array, derivative of the grey values by each parameter
     light : (n, K) array, DN, of the lines
     variance : (n, K) array, DN²
     weight : (n, K) array, 1/DN², of each pixel
@@ -288,7 +288,7 @@ def normal_equations(
     Parameters
     ----------
     pixels : LinePixels, px and DN, of K lines
-    parameters : (5, K) array, px and DN (crosssection.py)
+    parameters : (5, K) array, px and DN
 
     References
     ----------
@@ -304,7 +304,7 @@ def normal_equations(
     weight = pixels.used / variance
     pull = weight * residual
     if pixels.clipped.any():
-        weight, pull = _censored(pixels, residual, variance, weight, pull)
+        weight, pull = _with_clipped(pixels, residual, variance, weight, pull)
     weighted = np.empty((4, *weight.shape))
     np.multiply(by, weight, out=weighted[:-1])
     weighted[-1] = weight
@@ -324,7 +324,7 @@ def normal_equations(
     return information, score, WeightedLines(jacobian, light, variance, weight, residual)
 
 
-def _censored(
+def _with_clipped(
     pixels: LinePixels, residual: Floats, variance: Floats, weight: Floats, pull: Floats
 ) -> tuple[Floats, Floats]:
     """Weight and pull (n, K) with those of the clipped pixels put in.
@@ -344,7 +344,7 @@ def _censored(
     return weight, pull
 
 
-def solved_each(matrix: Floats, right: Floats) -> Floats:
+def solve_each(matrix: Floats, right: Floats) -> Floats:
     """(m, r, K) solutions of K systems of equations, all of them in each step.
 
     Elimination: symmetric matrices that are positive definite need no exchange of rows, and of
@@ -393,7 +393,7 @@ class LineFit:
 
     Attributes
     ----------
-    parameters : (K, 5) array, px and DN, as in crosssection.py
+    parameters : (K, 5) array, px and DN, as of ``parameters_of``
     covariance : (K, 5, 5) array, of them
     gain : (K, n) array, px/DN, how far the centre moves with each pixel
     settled : (K,) mask, whether the search came to rest
@@ -428,36 +428,36 @@ def fit_lines(searches: Sequence[LineSearch]) -> list[LineFit]:
     Fisher's scoring; a clipped pixel is a censored observation (Tobin 1958).
     """
     every = LinePixels.of(searches)
-    parameters = _bounded(np.concatenate([search.start for search in searches]).T)
+    parameters = _within_limits(np.concatenate([search.start for search in searches]).T)
     settled = np.zeros(parameters.shape[1], dtype=bool)
     moving, part = np.arange(len(settled)), every
     for turn in range(_MOST_STEPS):
         information, score, _ = normal_equations(part, parameters[:, moving])
-        step = solved_each(information, score[:, None])[:, 0]
+        step = solve_each(information, score[:, None])[:, 0]
         done = (step * score).sum(axis=0) < _SETTLED
         step = np.minimum(np.maximum(step, -_LONGEST_STEP), _LONGEST_STEP)
         step *= 1.0 if turn < _FULL_STEPS else 0.5
-        parameters[:, moving] = _bounded(parameters[:, moving] + step)
+        parameters[:, moving] = _within_limits(parameters[:, moving] + step)
         settled[moving[done]] = True
         if done.any():
             moving = moving[~done]
             part = every.of_lines(moving)
         if len(moving) == 0:
             break
-    return _judged(searches, every, parameters, settled)
+    return _line_fits(searches, every, parameters, settled)
 
 
-def _bounded(parameters: Floats) -> Floats:
+def _within_limits(parameters: Floats) -> Floats:
     return np.minimum(np.maximum(parameters, _LEAST), _MOST)
 
 
-def _judged(
+def _line_fits(
     searches: Sequence[LineSearch], pixels: LinePixels, parameters: Floats, settled: Mask
 ) -> list[LineFit]:
     """The fits at ``parameters`` (5, K) with their covariance and how they explain the pixels."""
     information, _, end = normal_equations(pixels, parameters)
     one = np.repeat(np.eye(5)[..., None], len(settled), axis=2)
-    covariance = solved_each(information, one)
+    covariance = solve_each(information, one)
     along = np.einsum("ijk,jnk->ink", covariance, end.jacobian)
     leverage = end.weight * np.einsum("ink,ink->nk", end.jacobian, along)
     # A pixel that the fit follows nearly everywhere says little of the noise.

@@ -23,8 +23,8 @@ from lscan.stripe.fit import (
     parameters_of,
     scatter_of,
 )
-from lscan.stripe.peaks import Peaks, all_windows, centred, clipped_near, nominal_peaks, windows
-from lscan.stripe.picture import Noise, constant_variance, robust_variance, sampled, stated_noise
+from lscan.stripe.peaks import Peaks, all_windows, clipped_near, nominal_peaks, stripe_at, windows
+from lscan.stripe.picture import Noise, constant_variance, robust_variance, sample_of, stated_noise
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
 #
@@ -66,12 +66,12 @@ class Survey:
     reach_px : (K,) array, px, how far from there the centre may lie: two widths, or the span if
         that is more, all of them in the picture
     view : LineWindows, px and DN, the pixels about the peaks
-    start : (K, 5) array, px and DN, a first guess of the line, as in crosssection.py
+    start : (K, 5) array, px and DN, a first guess of the line, as in fit.py
     ln_width : Guess, of the logarithm of the width in px
     tilt : Guess, DN/px, of the ground
     noise : Noise, of the pixels
     misfit : float, share of its light by which the line is no Gaussian; its part that is odd about
-        the centre (noise/scatter.py)
+        the centre (fit.py)
     """
 
     stripe: Stripe
@@ -124,17 +124,17 @@ def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
     ----------
     pictures : sequence of tuple, the arguments of :func:`survey` for each
     """
-    found = [_found(*picture) for picture in pictures]
-    noted = [one for one in found if isinstance(one, _Found)]
+    found = [_lit_columns(*picture) for picture in pictures]
+    noted = [one for one in found if isinstance(one, _LitColumns)]
     known = {
-        stated: iter(_surveyed([one for one in noted if one.states_noise == stated]))
+        stated: iter(_surveys_by_sample([one for one in noted if one.states_noise == stated]))
         for stated in (False, True)
     }
-    return [next(known[one.states_noise]) if isinstance(one, _Found) else one for one in found]
+    return [next(known[one.states_noise]) if isinstance(one, _LitColumns) else one for one in found]
 
 
 @dataclass(frozen=True)
-class _Found:
+class _LitColumns:
     """What is known of the K columns with a line before any line is fitted.
 
     As in :class:`Survey`; width_px: (K,) the rough width.  known_from: second differences that
@@ -157,15 +157,18 @@ class _Found:
         return self.settings.noise is not None
 
 
-def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found | Stripe:
+def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _LitColumns | Stripe:
     """The columns with a line, or the stripe itself where there are none."""
     columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
     stripe, peaks = nominal_peaks([columns], settings)
     if len(peaks.columns) == 0:
         return stripe
-    noise = _first_noise(columns, peaks, settings)
+    if settings.noise is None:
+        noise = Noise(constant_variance(columns), 0.0)
+    else:
+        noise = stated_noise(settings.noise, float(np.median(peaks.base)))
     rough = _rough_width(columns, peaks, noise.constant)
-    peaks = _recentred(columns, peaks, float(np.median(rough)))
+    peaks = _recentre(columns, peaks, float(np.median(rough)))
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:
         return stripe
@@ -174,11 +177,14 @@ def _found(image: GreyValues, settings: StripeSection, clipped: Mask) -> _Found 
         aside = _aside(columns, peaks, rough)
         noise, known_from = Noise(constant_variance(aside), 0.0), aside[:, 2:].size
     view = _view(columns, lost, peaks, rough)
-    start, sample = _start(view, rough), _pairs(len(rough))
-    return _Found(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
+    start, count = _start(view, rough), len(rough)
+    # About _SAMPLE columns, evenly, each with the next.
+    first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
+    sample = np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
+    return _LitColumns(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
 
 
-def _surveyed(found: Sequence[_Found]) -> list[Survey]:
+def _surveys_by_sample(found: Sequence[_LitColumns]) -> list[Survey]:
     """The surveys of pictures with a line, from the fits to a sample of it in each.
 
     The settings of all state the noise, or of none.  It is that found before where they do, else
@@ -191,7 +197,7 @@ def _surveyed(found: Sequence[_Found]) -> list[Survey]:
         search = LineSearch(one.view, one.start, one.noise, LinePrior(one.start, precision))
         searches.append(search.of(one.sample))
     places = [select(one.peaks, one.sample) for one in found]
-    fits, scatters = _fitted(searches, places)
+    fits, scatters = _fit_samples(searches, places)
     for _ in range(_NOISE_TURNS if found and not found[0].states_noise else 0):
         searches = [
             replace(
@@ -201,14 +207,14 @@ def _surveyed(found: Sequence[_Found]) -> list[Survey]:
             )
             for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
         ]
-        fits, scatters = _fitted(searches, places)
+        fits, scatters = _fit_samples(searches, places)
     return [
         _survey(one, fit, search.noise, scatter.misfit(search.noise))
         for one, fit, search, scatter in zip(found, fits, searches, scatters, strict=True)
     ]
 
 
-def _fitted(
+def _fit_samples(
     searches: Sequence[LineSearch], places: Sequence[Peaks]
 ) -> tuple[list[LineFit], list[Scatter]]:
     fits = fit_lines(searches) if searches else []
@@ -216,7 +222,7 @@ def _fitted(
     return fits, [scatter_of(fit, peaks.columns, peaks.rows) for fit, peaks in each]
 
 
-def _survey(found: _Found, fit: LineFit, noise: Noise, misfit: float) -> Survey:
+def _survey(found: _LitColumns, fit: LineFit, noise: Noise, misfit: float) -> Survey:
     """The survey, with what the ``fit`` of the sample says of all columns."""
     count, start = len(found.width_px), found.start.copy()
     ln_width, tilt = (_between(fit, which, found.sample, count) for which in (LN_WIDTH, TILT))
@@ -226,12 +232,6 @@ def _survey(found: _Found, fit: LineFit, noise: Noise, misfit: float) -> Survey:
     return Survey(*known, ln_width, tilt, noise, misfit)
 
 
-def _first_noise(columns: GreyValues, peaks: Peaks, settings: StripeSection) -> Noise:
-    if settings.noise is not None:
-        return stated_noise(settings.noise, float(np.median(peaks.base)))
-    return Noise(constant_variance(columns), 0.0)
-
-
 def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
     """Pixels more than six widths away from the line, one sampled column a row.
 
@@ -239,11 +239,11 @@ def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
     columns that have none.
     """
     sample = _sample(len(peaks.rows))
-    sample = sample[sampled(len(sample))]
+    sample = sample[sample_of(len(sample))]
     height = columns.shape[1]
     reach = int(np.ceil(6 * np.median(width_px))) + 2
     if height - 2 * reach < 3:
-        return columns[sampled(len(columns))]
+        return columns[sample_of(len(columns))]
     seen = columns[peaks.columns[sample]]
     around = all_windows(np.concatenate([seen, seen], axis=1), height - 2 * reach)
     aside: GreyValues = around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height]
@@ -252,12 +252,6 @@ def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
 
 def _sample(count: int) -> Ints:
     return np.arange(0, count, -(-count // _SAMPLE))
-
-
-def _pairs(count: int) -> Ints:
-    """About _SAMPLE of ``count`` columns, evenly, each with the next."""
-    first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
-    return np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
 
 
 def _rough_width(columns: GreyValues, peaks: Peaks, constant: float) -> Floats:
@@ -289,7 +283,7 @@ def _above_ground(windows: Floats) -> Floats:
     return windows - left[:, None] - (right - left)[:, None] * rise
 
 
-def _recentred(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
+def _recentre(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
     """The peaks moved to the brightest pixel of the line smoothed with its own width.
 
     Noise and clipping move the brightest pixel about; this one stays near the centre.
@@ -351,7 +345,7 @@ def weak_precision(start: Floats) -> Floats:
 
     Parameters
     ----------
-    start : (K, 5) array, px and DN, where the line begins (crosssection.py)
+    start : (K, 5) array, px and DN, where the line begins (fit.py)
     """
     width, height = np.exp(start[:, LN_WIDTH]), np.exp(start[:, LN_HEIGHT])
     factor = np.full(len(start), np.log(20.0))
@@ -398,7 +392,7 @@ def _several(pictures: Sequence[Picture]) -> list[Stripe]:
     crests = _crests(surveyed, searches, at)
     found = map(_stripe, surveyed, fits, crests)
     return [
-        _marked(next(found), *picture) if isinstance(one, Survey) else one
+        _saturate(next(found), *picture) if isinstance(one, Survey) else one
         for one, picture in zip(seen, pictures, strict=True)
     ]
 
@@ -416,13 +410,13 @@ def _search(seen: Survey) -> LineSearch:
 def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line by maximum likelihood in each column of a picture.
 
-    A Gaussian averaged over each pixel on a sloping ground (crosssection.py) under reading noise,
+    A Gaussian averaged over each pixel on a sloping ground (fit.py) under reading noise,
     shot noise and speckle; a clipped pixel says "at least this".  Width and slope are free, but
     held to the median of the neighbouring columns as far as those agree with one another: where a
     column alone does not determine them, they do.
 
     sigma_px follows from Fisher's information, and from what the line differs from a Gaussian
-    alike in neighbouring columns (noise/scatter.py), carried through the fit.  Where the pixels
+    alike in neighbouring columns (fit.py), carried through the fit.  Where the pixels
     scatter about the line more than the noise explains it grows by the root of that ratio
     (Birge 1932): the neighbours' median of it, and the column's own where beyond chance.
     Where that is a column's own and the noise is stated, as beside light that ends at the line, it
@@ -444,7 +438,7 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     return _several([(image, settings, clipped)])[0]
 
 
-def _marked(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
+def _saturate(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The stripe with its clipped columns SATURATED."""
     saturated = clipped_near(stripe, clipped.T, settings.span_px)
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
@@ -527,4 +521,4 @@ def _stripe(seen: Survey, fit: LineFit, crest: Floats) -> Stripe:
     doubt = np.where(np.isnan(crest), 0.0, crest - offset) ** 2 / 3  # a uniform distribution's
     sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit + doubt)
     kept = fit.settled & seen.is_near(offset, sigma)
-    return centred(seen.stripe, seen.peaks, offset, sigma, kept)
+    return stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)

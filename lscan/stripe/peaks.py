@@ -34,7 +34,7 @@ def crests(columns: GreyValues) -> Ints:
     return floats.argmax(axis=1)
 
 
-def ranked(columns: GreyValues, rank: int) -> Floats:
+def order_statistic(columns: GreyValues, rank: int) -> Floats:
     """(W,) DN, of each column the value that ``rank`` of its pixels come before in rising order.
 
     Parameters
@@ -49,7 +49,7 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
     array([7.])
     """
     if not np.issubdtype(columns.dtype, np.integer):
-        return _ranked_floats(columns.astype(np.float32, copy=False), rank)
+        return _float_order_statistic(columns.astype(np.float32, copy=False), rank)
     # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
     # at a value that most columns are near to, and goes from there in steps twice as long each.
     sample = columns[::_SPARSE, ::_SPARSE].ravel()
@@ -68,7 +68,7 @@ def ranked(columns: GreyValues, rank: int) -> Floats:
         middle, step = near, 2 * step
 
 
-def _ranked_floats(columns: Singles, rank: int) -> Floats:
+def _float_order_statistic(columns: Singles, rank: int) -> Floats:
     """The same of floats: of columns that hold grey values alone by counting these."""
     with np.errstate(invalid="ignore"):
         grey = columns.astype(np.uint8 if columns.min() >= 0 else np.int16)
@@ -76,7 +76,7 @@ def _ranked_floats(columns: Singles, rank: int) -> Floats:
     values, others = np.empty(len(columns)), columns[~whole]
     values[~whole] = np.partition(others, rank, axis=1)[:, rank]
     if whole.any():
-        values[whole] = ranked(grey[whole], rank)
+        values[whole] = order_statistic(grey[whole], rank)
     return values
 
 
@@ -85,7 +85,7 @@ def medians(columns: GreyValues) -> Floats:
 
     Parameters
     ----------
-    columns : (W, H) array, DN, as :func:`ranked` takes them
+    columns : (W, H) array, DN, as :func:`order_statistic` takes them
 
     Examples
     --------
@@ -95,7 +95,7 @@ def medians(columns: GreyValues) -> Floats:
     if not np.issubdtype(columns.dtype, np.integer):
         columns = columns.astype(np.float32)
     half = columns.shape[1] // 2
-    upper = ranked(columns, half)
+    upper = order_statistic(columns, half)
     if columns.shape[1] % 2:
         return upper
     below = columns < upper.astype(columns.dtype)[:, None]
@@ -147,7 +147,7 @@ def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tu
     height = pictures[0].shape[1]
     places = [crests(columns) for columns in pictures]
     rows = np.concatenate(places)
-    base = np.concatenate([ranked(columns, height // 2) for columns in pictures])
+    base = np.concatenate([order_statistic(columns, height // 2) for columns in pictures])
     each = zip(pictures, places, strict=True)
     peak = np.concatenate([columns[np.arange(len(row)), row] for columns, row in each]) - base
     width = len(rows)
@@ -216,7 +216,7 @@ def windows_beside(
     return np.concatenate([windows(one, here - k, row, steps) for one, here, row, k in parts])
 
 
-def centred(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:
+def stripe_at(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:
     """The stripe with centres beside the peaks, NO_PEAK where they are not kept.
 
     Parameters
@@ -262,7 +262,7 @@ _Result = TypeVar("_Result")
 _Work = Callable[[Sequence[_Item]], list[_Result]]
 
 
-def in_one(
+def batch_by_kind(
     work: _Work[_Item, _Result], items: Sequence[_Item], kind: Callable[[_Item], Hashable]
 ) -> list[_Result]:
     """What ``work`` makes of each of the items: in one call if they are alike, else one by one.
@@ -278,7 +278,7 @@ def in_one(
     return [result for item in items for result in work([item])]
 
 
-def joined(stripes: Sequence[Stripe]) -> Stripe:
+def join_stripes(stripes: Sequence[Stripe]) -> Stripe:
     """One stripe of the entries of all.
 
     Parameters
@@ -289,8 +289,8 @@ def joined(stripes: Sequence[Stripe]) -> Stripe:
     return Stripe(stripes[0].axis, *map(np.concatenate, zip(*each, strict=True)))
 
 
-def parted(stripe: Stripe, count: int) -> list[Stripe]:
-    """The stripes that :func:`joined` made one of.
+def split_stripe(stripe: Stripe, count: int) -> list[Stripe]:
+    """The stripes that :func:`join_stripes` made one of.
 
     Parameters
     ----------
@@ -385,7 +385,9 @@ the flanks, which are symmetric where no edge crosses them, and beyond."""
 _ROUNDING_DN = 0.5  # a ground of 0 DN has been anything up to that: no edge is sharper
 
 
-def doubted(stripe: Stripe, light: GreyValues, ground: GreyValues, threshold_dn: float) -> Stripe:
+def doubt_beside_edge(
+    stripe: Stripe, light: GreyValues, ground: GreyValues, threshold_dn: float
+) -> Stripe:
     """The stripe with sigma_px enlarged where the target is brighter on one side of the line.
 
     A line half on white and half on black is seen displaced towards the white.  Where the white,
@@ -528,11 +530,11 @@ def relief_of(
     blurred = cv2.GaussianBlur(single, (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX)
     smoothed = np.asarray(cv2.transpose(blurred), np.float32)
     opened = np.ascontiguousarray(single.T) if sharp else smoothed
-    ground = _opened(opened, ground_px, rows)
+    ground = _opening(opened, ground_px, rows)
     return Relief(columns[:, rows], smoothed[rows].T, ground.T)
 
 
-def _opened(values: Singles, size: int, rows: slice) -> Singles:
+def _opening(values: Singles, size: int, rows: slice) -> Singles:
     """Some of (H, W) rows after a grey-scale opening over ``size`` of them, an odd number.
 
     Edges cut it short.  The extreme of so many rows is that of two parts that overlap, each found

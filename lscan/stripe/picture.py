@@ -109,7 +109,7 @@ def constant_variance(columns: GreyValues) -> float:
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     """
-    sample = columns[sampled(len(columns))]
+    sample = columns[sample_of(len(columns))]
     with np.errstate(invalid="ignore"):
         grey = sample.astype(np.int16)
     # Differences of bytes would overflow, those of single precision are rounded.
@@ -119,7 +119,7 @@ def constant_variance(columns: GreyValues) -> float:
     return max(robust_variance(differences, least) / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
 
 
-def sampled(count: int) -> slice:
+def sample_of(count: int) -> slice:
     """The columns that the noise is estimated from: 64 to 127 of them, evenly; all of fewer.
 
     Parameters
@@ -175,7 +175,7 @@ def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
 
     Parameters
     ----------
-    square : (N,) array, DN², on average the variance of the noise (noise/scatter.py)
+    square : (N,) array, DN², on average the variance of the noise (fit.py)
     light : (N,) array, DN, the line's fitted grey values, 0 or more
     constant : float, DN², as in :class:`Noise`, known from elsewhere
     """
@@ -261,7 +261,9 @@ def is_coded(grey: GreyValues) -> bool:
     >>> is_coded(np.random.default_rng(1).integers(0, 9, (640, 480)))
     False
     """
-    steps = _steps(grey)
+    every = grey[:, ::2]
+    every = every.astype(np.int16) if np.issubdtype(every.dtype, np.integer) else every
+    steps: Floats = np.minimum(np.abs(np.diff(every, axis=0)), _MOST_DN).mean(axis=1)
     blocks = len(steps) // _BLOCK
     if blocks < _FEWEST_BLOCKS:
         return False
@@ -275,14 +277,6 @@ def is_coded(grey: GreyValues) -> bool:
     return bool(
         share > chance + _BEYOND_CHANCE * doubt and means[bound] > _STANDS_OUT * means[others]
     )
-
-
-def _steps(grey: GreyValues) -> Floats:
-    """(N - 1,) mean sizes of the steps to the next entry, in every second pixel of each."""
-    seen = grey[:, ::2]
-    seen = seen.astype(np.int16) if np.issubdtype(seen.dtype, np.integer) else seen
-    mean: Floats = np.minimum(np.abs(np.diff(seen, axis=0)), _MOST_DN).mean(axis=1)
-    return mean
 
 
 # A picture laid out for stripe extraction: one row in memory for each entry of the stripe.
@@ -374,7 +368,8 @@ def clipping_level(lines: Bytes) -> int:
         stripe
     """
     highest = lines.max(axis=1)
-    least = _within_highest(highest, lines.size)
+    stray = int(_STRAY * lines.size)  # pixels that say nothing of the range's end
+    least = 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
     if least >= _NEAR_END_DN:
         return CLIPPED_DN
     # Values farther down than the plateau and its surroundings do not count.
@@ -387,20 +382,9 @@ def clipping_level(lines: Bytes) -> int:
         return CLIPPED_DN
     mode = top - _SPREAD_DN + int(count[top - _SPREAD_DN : top + 1].argmax())
     piled = count[mode - 1 : mode + 2].sum() > _PILED * count[mode - 6 : mode - 2].sum()
-    if piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode)):
-        return _foot(count, mode)
-    return CLIPPED_DN
-
-
-def _within_highest(highest: Bytes, pixels: int) -> int:
-    """A grey value that more than _STRAY of the pixels reach, by the highest of each line."""
-    stray = int(_STRAY * pixels)
-    return 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
-
-
-def _foot(count: Ints, mode: int) -> int:
-    """The lowest value of the plateau: down to where a tenth of its pixels are left."""
-    level = mode
+    if not (piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode))):
+        return CLIPPED_DN
+    level = mode  # the plateau goes down to where a tenth of its pixels are left
     while level > mode - _SPREAD_DN // 2 and 10 * count[level - 1] >= count[mode]:
         level -= 1
     return level
@@ -456,7 +440,7 @@ _DIPPED = 0.75  # of the excess on either side: where less is left in the middle
 _WHITER = 2.0  # times the excess: where the darkest colour's crest is so high, that is white too
 _COLOURED_DN = 16  # excess beside a crest: less is what lossy coding makes of white
 _RIM_PX = 3
-_BROAD_PX = 61  # what is wider is no line (spots.py)
+_BROAD_PX = 61  # what is wider is no line (peaks.py)
 
 _UPPER, _LEAST_LINE_DN, _SIGMAS = 0.75, 12.0, 6.0  # of faint_threshold
 
@@ -507,7 +491,7 @@ def lines_of(
     axis : str, "columns" or "rows"
     where : str, how the message names the picture
     clipping_dn : int, optional, DN, grey value at which the camera's range ends; found from the
-        picture (clipping.py) if left out
+        picture if left out
 
     Raises
     ------
@@ -527,7 +511,7 @@ def lines_of(
     check_picture(picture, where)
     if channel == "auto":
         channel = strongest_excess(picture, axis)
-    grey, brightest = _read(picture, channel, axis)
+    grey, brightest = _sensor_lines(picture, channel, axis)
     frame = frame_px(brightest)
     grey, brightest = without_frame(grey, frame), without_frame(brightest, frame)
     level = clipping_level(brightest) if clipping_dn is None else clipping_dn
@@ -555,7 +539,7 @@ def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
         return "grey"
     strongest, highest = _EXCESSES[0], 0.0
     for channel in _EXCESSES:
-        own, _ = _read(picture, channel, axis)
+        own, _ = _sensor_lines(picture, channel, axis)
         excess, _ = _excess(own, *_others(picture, channel, axis), clipping_level(own))
         if np.maximum(excess.max(axis=1), 0).mean() > highest:  # no peak is higher than its crest
             height = _heights(excess).mean()
@@ -629,7 +613,7 @@ def check_pair(image: Bytes, background: Bytes | None) -> None:
         raise InputError(what, where="background", value=background.shape, allowed=allowed)
 
 
-def _read(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
+def _sensor_lines(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
     """(N, L) grey values of a sensor's channel, and of the brightest colour that is part of it."""
     if picture.ndim == 2:
         grey = brightest = _across(picture, axis)
@@ -669,13 +653,13 @@ def _excess(own: Bytes, others: Bytes, least: Bytes, clipping_dn: int) -> tuple[
     # Twice as far as a crest reaches nothing beyond counts, and nothing beyond is changed.
     part = slice(max(at[0] - 2 * _CREST_PX, 0), at[-1] + 2 * _CREST_PX + 1)
     crest = np.zeros_like(bright)
-    excess[lines, part], crest[lines, part] = _raised(
+    excess[lines, part], crest[lines, part] = _raise_excess(
         excess[lines, part], others[lines, part], least[lines, part], bright[lines, part]
     )
     return excess, crest
 
 
-def _raised(
+def _raise_excess(
     excess: GreyValues, others: Bytes, least: Bytes, bright: Mask
 ) -> tuple[GreyValues, Mask]:
     """The same of a part of the lines, ``bright`` where a colour nears the end of its range."""

@@ -39,7 +39,7 @@ _WIDE = 3.0
 it is rather one of the rows, crosses its columns 3.2 times as wide."""
 
 _SHARP = 1 / 3  # of the weight of each column's sharpest spots lies below the line's width
-_GROUND_WIDTHS = 4  # the ground of spots.py, told from lines of the width that this picture has
+_GROUND_WIDTHS = 4  # the ground of peaks.py, told from lines of the width that this picture has
 _LEAST_GROUND_PX = 13
 _SHARE = 0.02  # of the columns: more with texture are no accident
 _CROWD = 3.0  # spots a column: more than a line, its reflection, and a speck
@@ -199,7 +199,11 @@ def _best_path(spots: Spots, free: Ints, unit: float, count: int) -> Ints:
     """
     free = free[brightest(spots.column[free], spots.peak[free], _MOST_RIVALS)]
     gain = np.sqrt(np.minimum(spots.peak[free] / unit, 1.0)) - _ENOUGH
-    table = _by_column(spots.column[free], count)
+    column = spots.column[free]
+    rank = np.arange(len(column)) - np.searchsorted(column, column)
+    # Indices of the spots of each column, -1 where there are fewer than the most.
+    table = np.full((count + GAP, int(rank.max()) + 1), -1)
+    table[column + GAP, rank] = np.arange(len(column))
     rows = spots.middle[free][table]
     gains = np.where(table >= 0, gain[table], -np.inf)
     score, back = np.full(table.shape, -np.inf), np.full(table.shape, -1)
@@ -248,15 +252,7 @@ def _pieces(spots: Spots, path: Ints, width_px: float) -> tuple[Ints, Ints]:
     return path[whole], piece[whole]
 
 
-def _by_column(column: Ints, count: int) -> Ints:
-    """(GAP + W, M) indices of the spots of each column, -1 where there are fewer than M."""
-    rank = np.arange(len(column)) - np.searchsorted(column, column)
-    table = np.full((count + GAP, int(rank.max()) + 1), -1)
-    table[column + GAP, rank] = np.arange(len(column))
-    return table
-
-
-def flattened(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tuple[Floats, Mask]:
+def flatten(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> tuple[Floats, Mask]:
     """(W, H) columns with their kept spots on an even ground, DN, and the spots' footprints.
 
     Within the footprint of a kept spot the ground is taken off, elsewhere all but the pixels'
@@ -283,11 +279,11 @@ def flattened(relief: Relief, spots: Spots, kept: Mask, threshold_dn: float) -> 
 # Which line is meant where a column of the picture holds several.
 #
 # A second laser, a mirror that shows the line again, a bright speck: each draws a line or a blob of
-# its own.  Every column is cut into the spots that stand out of it (spots.py), spots of
+# its own.  Every column is cut into the spots that stand out of it (peaks.py), spots of
 # neighbouring columns are linked into runs, and runs, not pixels, are chosen between.  The spots of
 # the runs not chosen are then painted over, so that an extractor that looks at one column at a time
-# sees one line in each.  On a lit target, whose texture stands out as well, texture.py finds the
-# lines that are chosen between.
+# sees one line in each.  On a lit target, whose texture stands out as well, they are chosen between
+# on an even ground (below).
 
 
 _WEAKER = 0.35
@@ -355,7 +351,7 @@ def choose_return(
     given to the line that the run belongs to where both are seen, or that it lies nearer to;
     it is ambiguous where that is not clear.
 
-    On a lit target (texture.py), and where "first" or "last" would often be a speck, the runs are
+    On a lit target (below), and where "first" or "last" would often be a speck, the runs are
     the narrow lines that go on from column to column, and each column is laid on an even ground.
 
     Fast where ``image.T`` and ``clipped.T`` are contiguous in memory.
@@ -378,8 +374,8 @@ def choose_return(
     rivals = np.count_nonzero(np.diff(spots.column) == 0)
     doubtful = white and rivals >= _RIVALS * count
     if doubtful or specked or is_textured(columns, crest, spots, run, settings):
-        return _in_texture(columns, spots, settings, clipped)
-    choice = _choose(spots, run, _isolated(spots, run), settings)
+        return _line_in_texture(columns, spots, settings, clipped)
+    choice = _choose(spots, run, _isolated_spots(spots, run), settings)
     if not choice.rejected.any():
         return OneReturn(image, crest, clipped, choice.ambiguous(count))
     at, lost = np.unique(spots.column[choice.rejected]), clipped.T.copy()
@@ -395,7 +391,7 @@ def choose_return(
     return OneReturn(painted.T, crest, lost.T, choice.ambiguous(count))
 
 
-def _in_texture(
+def _line_in_texture(
     columns: GreyValues, seen: Spots, settings: StripeSection, clipped: Mask
 ) -> OneReturn:
     """The same on a lit target: the line meant on an even ground in each column.
@@ -416,7 +412,7 @@ def _in_texture(
     even = np.ptp(relief_of(columns).ground, axis=1) <= threshold_dn / 2
     left = np.bincount(spots.column[kept], minlength=count)
     even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
-    flat, near = flattened(relief, spots, kept, threshold_dn)
+    flat, near = flatten(relief, spots, kept, threshold_dn)
     near |= even[:, None]
     image = np.where(even[:, None], columns, flat)
     return OneReturn(
@@ -461,7 +457,7 @@ def _is_specked(spots: Spots, run: Ints) -> bool:
     return len(np.unique(spots.column[rival])) > _SPECKED * len(np.unique(spots.column))
 
 
-def _isolated(spots: Spots, run: Ints) -> Mask:
+def _isolated_spots(spots: Spots, run: Ints) -> Mask:
     """(K,) mask of the spots that are blobs by themselves: hot pixels, drifting particles.
 
     A run no longer than it is high in a picture with one that is ten times as long, unless it
@@ -502,7 +498,7 @@ def _choose(spots: Spots, run: Ints, rejected: Mask, settings: StripeSection) ->
     first, second = pairs(spots.column)
     there = ~rejected[first] & ~rejected[second]
     first, second = first[there], second[there]
-    faint, yielding = _rejected(spots, run, first, second, settings)
+    faint, yielding = _rejected_spots(spots, run, first, second, settings)
     rejected = rejected | faint | yielding
     unsure = np.zeros(len(run), dtype=bool)
     if settings.returns != "brightest":
@@ -551,7 +547,7 @@ def _nearness(spots: Spots, run: Ints, meant: Mask, other: Mask, first: bool) ->
     return ratio[order][begin + np.bincount(run) // 2]
 
 
-def _rejected(
+def _rejected_spots(
     spots: Spots, run: Ints, first: Ints, second: Ints, settings: StripeSection
 ) -> tuple[Mask, Mask]:
     """(K,) spots that are faint or specks beside another, and those that yield to the one meant.

@@ -17,7 +17,7 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import on_integers
 from lscan.stripe.peaks import crests, line_width, medians, pieces, windows
-from lscan.stripe.picture import Noise, line_noise, stated_noise
+from lscan.stripe.picture import line_noise, stated_noise
 
 _REACH = 4  # standard deviations at which the Gaussian kernels end
 _FINEST_PX = 1.0  # a Gaussian less wide lets the pixels' raster through
@@ -33,7 +33,7 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
 
     The ridge is where the derivative across the line vanishes; across is the direction in
     which the picture bends down most, the eigenvector of its Hessian (Steger's eq. 11).
-    The Gaussian is as wide as the line (width.py), which is the matched filter for a Gaussian
+    The Gaussian is as wide as the line (peaks.py), which is the matched filter for a Gaussian
     line in white noise, and integrated over the pixels as in Steger's sec. 2.3.  Between two
     rows the derivative, divided by the picture itself, is interpolated linearly: for a
     Gaussian line that is exact, where Steger's parabola errs by a tenth of a pixel.  Within
@@ -44,7 +44,7 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     widths of the edge; NO_PEAK too where the line runs along the column.
 
     sigma_px is the pixels' noise carried through the derivative of the crossing: reading
-    noise, photons and speckle of ``settings.noise``, or what noise/model.py estimates.
+    noise, photons and speckle of ``settings.noise``, or what picture.py estimates.
     Neighbouring columns share their noise over about a line's width.  What is smoothed away where
     the line bends within its own width is no part of sigma_px.
 
@@ -72,11 +72,16 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     crest = crests(columns)[lit]
     width = line_width(columns, lit, crest)
     scale = max(width, _FINEST_PX)
-    rows = _band(crest, scale)
+    room = 2 * int(np.ceil(_REACH * scale)) + 4  # for the kernels beyond the line
+    rows = slice(max(int(crest.min()) - room, 0), int(crest.max()) + room + 1)
     reach = int(np.ceil(2 * width))
     at_crest = windows(columns, lit, crest, reach) - base[lit, None]
     light = columns[:, rows] - base[:, None]
-    variance = _noise(columns, at_crest, lit, settings).variance(light)
+    if settings.noise is None:
+        noise = line_noise(columns, at_crest, lit)
+    else:
+        noise = stated_noise(settings.noise, float(medians(columns.reshape(1, -1))[0]))
+    variance = noise.variance(light)
     smoothed = _both_ways(light, variance, scale)
     _place(stripe, smoothed, _crest(smoothed, light, lit, settings.threshold_dn), lit)
     ends = _near_ends(stripe, lit, scale)
@@ -84,7 +89,10 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
         alone = _along_columns(light, variance, scale)
         _place(stripe, alone, _crest(alone, light, ends, settings.threshold_dn), ends)
     stripe.centre_px[:] += rows.start
-    _mark_border(stripe, lit, columns.shape[1], max(settings.span_px, int(np.ceil(2 * width))))
+    row, border_px = np.rint(stripe.centre_px[lit]), max(settings.span_px, reach)
+    cut = lit[(row < border_px) | (row >= columns.shape[1] - border_px)]
+    stripe.status[cut] = Status.AT_BORDER
+    stripe.centre_px[cut] = stripe.sigma_px[cut] = np.nan
     return stripe
 
 
@@ -110,27 +118,27 @@ def _both_ways(light: Floats, variance: Floats, scale: float) -> _Smoothed:
     variance: (W, H) of the pixels in DN², each pixel's noise its own.
     """
     g0, g1, g2 = _kernels(scale)
-    by_u, by_v = _filtered(light, g1, g0), _filtered(light, g0, g1)
-    uu, uv, vv = _filtered(light, g2, g0), _filtered(light, g1, g1), _filtered(light, g0, g2)
+    by_u, by_v = _convolve(light, g1, g0), _convolve(light, g0, g1)
+    uu, uv, vv = _convolve(light, g2, g0), _convolve(light, g1, g1), _convolve(light, g0, g2)
     bend = (uu + vv) / 2 - np.hypot((uu - vv) / 2, uv)
     # The eigenvector to the smaller eigenvalue is square to that to the larger one; its angle
     # lies between 0 and pi, so that ``across`` is never negative.
     angle = np.arctan2(2 * uv, uu - vv) / 2 + np.pi / 2
     along, across = np.cos(angle), np.sin(angle)
     slope = along * by_u + across * by_v
-    spread: Floats = along**2 * _filtered(variance, g1**2, g0**2)
-    spread += across**2 * _filtered(variance, g0**2, g1**2)
-    spread += 2 * along * across * _filtered(variance, g0 * g1, g0 * g1)
-    return _Smoothed(_filtered(light, g0, g0), slope, spread, bend, across)
+    spread: Floats = along**2 * _convolve(variance, g1**2, g0**2)
+    spread += across**2 * _convolve(variance, g0**2, g1**2)
+    spread += 2 * along * across * _convolve(variance, g0 * g1, g0 * g1)
+    return _Smoothed(_convolve(light, g0, g0), slope, spread, bend, across)
 
 
 def _along_columns(light: Floats, variance: Floats, scale: float) -> _Smoothed:
     """The same with each column smoothed by itself, the line taken to run square to it."""
     g0, g1, g2 = _kernels(scale)
     one = np.ones(1)
-    bend, across = _filtered(light, one, g2), np.ones_like(light)
-    spread = _filtered(variance, one, g1**2)
-    return _Smoothed(_filtered(light, one, g0), _filtered(light, one, g1), spread, bend, across)
+    bend, across = _convolve(light, one, g2), np.ones_like(light)
+    spread = _convolve(variance, one, g1**2)
+    return _Smoothed(_convolve(light, one, g0), _convolve(light, one, g1), spread, bend, across)
 
 
 def _kernels(scale: float) -> tuple[Floats, Floats, Floats]:
@@ -143,29 +151,10 @@ def _kernels(scale: float) -> tuple[Floats, Floats, Floats]:
     return smoothing, -np.diff(density), np.diff(-edges / scale**2 * density)
 
 
-def _filtered(picture: Floats, along: Floats, across: Floats) -> Floats:
+def _convolve(picture: Floats, along: Floats, across: Floats) -> Floats:
     """(W, H) of the picture filtered along u and along v; beyond its edges there is no light."""
     border = cv2.BORDER_CONSTANT
     return np.asarray(cv2.sepFilter2D(picture, cv2.CV_64F, across, along, borderType=border), float)
-
-
-def _noise(columns: GreyValues, light: Floats, lit: Ints, settings: StripeSection) -> Noise:
-    """The noise that the settings state, or else that of the picture, (W, H) in DN.
-
-    light: (K, n) DN above the background about the crest of each lit column.
-    """
-    if settings.noise is not None:
-        return stated_noise(settings.noise, float(medians(columns.reshape(1, -1))[0]))
-    return line_noise(columns, light, lit)
-
-
-def _band(crest: Ints, scale: float) -> slice:
-    """The rows that hold the line, with room for the kernels beyond it.
-
-    crest: (K,) row of the brightest pixel of each lit column.
-    """
-    room = 2 * int(np.ceil(_REACH * scale)) + 4
-    return slice(max(int(crest.min()) - room, 0), int(crest.max()) + room + 1)
 
 
 def _crest(smoothed: _Smoothed, light: Floats, lit: Ints, threshold_dn: float) -> Ints:
@@ -209,11 +198,3 @@ def _near_ends(stripe: Stripe, lit: Ints, scale: float) -> Ints:
     low = minimum_filter1d(label, size, mode="constant", cval=-1)  # nothing beyond the picture
     high = maximum_filter1d(label, size, mode="constant", cval=-1)
     return lit[(low != high)[lit]]
-
-
-def _mark_border(stripe: Stripe, lit: Ints, height: int, border_px: int) -> None:
-    """Take the value from the lit columns whose line is cut by the picture's edge."""
-    row = np.rint(stripe.centre_px[lit])
-    cut = lit[(row < border_px) | (row >= height - border_px)]
-    stripe.status[cut] = Status.AT_BORDER
-    stripe.centre_px[cut] = stripe.sigma_px[cut] = np.nan

@@ -4,7 +4,7 @@ A rule is judged by what it would do to the line that was there: a Gaussian of t
 neighbours' width at the place found, averaged over each pixel.  On that line it errs by a
 little even without noise (interpolation, pixels cut off), and has a derivative by each
 pixel, through which the pixels' noise reaches the centre, and so does what the real line
-differs by (noise/scatter.py).  sigma_px holds all three.
+differs by (fit.py).  sigma_px holds all three.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
 from lscan.stripe.api import Extractor, Picture, Several, on_integers, together
 from lscan.stripe.fit import LineWindows, lines, parameters_of
 from lscan.stripe.likelihood import Survey, survey
-from lscan.stripe.peaks import centred, in_one, nominal_peaks, parted, windows_beside
+from lscan.stripe.peaks import batch_by_kind, nominal_peaks, split_stripe, stripe_at, windows_beside
 from lscan.stripe.picture import Noise, line_noise
 
 # Extractors that put the centre where a rule says: what they share, and their uncertainty.
@@ -73,7 +73,7 @@ def extractor(rule: Rule) -> Extractor:
         offset, _ = rule(_lit(seen, light))
         sigma = _sigma(rule, seen, ground, light, np.nan_to_num(offset))
         kept = seen.is_near(offset, sigma)
-        return centred(seen.stripe, seen.peaks, offset, sigma, kept)
+        return stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)
 
     del extract.__wrapped__  # its signature is an extractor's, not the rule's
     return on_integers(extract)
@@ -129,7 +129,10 @@ def _mean(chosen: Mask) -> Floats:
 def _sigma(rule: Rule, seen: Survey, ground: _Ground, light: Floats, offset: Floats) -> Floats:
     """Standard uncertainty (K,) in px of the centres that ``rule`` put at ``offset``."""
     steps, width = seen.view.steps, seen.width_px
-    model = _ideal(steps, offset, width, light)
+    core = np.abs(steps) <= np.ceil(3 * width)[:, None]
+    flux = np.maximum((light * core).sum(axis=1), 1e-3)
+    level, height = np.zeros(len(offset)), flux / (np.sqrt(2 * np.pi) * width)
+    model = lines(parameters_of(offset, width, height, level, level), steps).light
     veil = ground.values(seen.view.grey) - seen.view.base[:, None]
     variance = seen.noise.variance(model, veil) + (seen.misfit * model) ** 2
     expected, derivative = rule(_lit(seen, ground.taken_off(model)))
@@ -141,24 +144,15 @@ def _lit(seen: Survey, light: Floats) -> LineLight:
     return LineLight(seen.view.steps, light, seen.view.clipped, seen.width_px, seen.noise)
 
 
-def _ideal(steps: Floats, offset: Floats, width: Floats, light: Floats) -> Floats:
-    """Noise-free lines (K, n) at ``offset`` with the width given and the light's flux."""
-    core = np.abs(steps) <= np.ceil(3 * width)[:, None]
-    flux = np.maximum((light * core).sum(axis=1), 1e-3)
-    level = np.zeros(len(offset))
-    height = flux / (np.sqrt(2 * np.pi) * width)
-    return lines(parameters_of(offset, width, height, level, level), steps).light
-
-
 # The stripe extractors of the paper: brightest pixel, centroid, centroid of relative values.
 #
 # All three start from the nominal peak of each column, the first maximum from the top, and look at
 # the window of ``span_px`` pixels on either side of it (Sec. V.B).  They differ only in how far
 # from the nominal peak they put the centre of the line:
 #
-# - ``maximum``: at the nominal peak itself; - ``centroid``: eq. (8) with the grey values as
-# weights; - ``centroid_relative``: eq. (8) with the smallest grey value of the window subtracted
-# first.
+# - ``maximum``: at the nominal peak itself;
+# - ``centroid``: eq. (8) with the grey values as weights;
+# - ``centroid_relative``: eq. (8) with the window's smallest grey value subtracted first.
 #
 # None of them takes account of which pixels are clipped.
 
@@ -171,7 +165,7 @@ and the derivative (K, n) of that offset by each grey value, in px/DN."""
 def _by(centring: Centring, guesses_background: bool = False) -> Several:
     """The extractor of a rule, of pictures side by side where they are alike."""
     work = partial(_alike, centring=centring, guesses_background=guesses_background)
-    return partial(in_one, work, kind=lambda picture: (picture[1], picture[0].shape))
+    return partial(batch_by_kind, work, kind=lambda picture: (picture[1], picture[0].shape))
 
 
 def _alike(
@@ -182,7 +176,7 @@ def _alike(
     A column has a line where its highest value exceeds its median by more than
     ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
 
-    sigma_px combines the noise of the pixels (noise/model.py), carried through the derivative of
+    sigma_px combines the noise of the pixels (picture.py), carried through the derivative of
     the centre; the choice of the nominal peak; and, where the rule ``guesses_background``
     from the window, that guess.  For a Gaussian line the last two are the size of what the
     window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.
@@ -192,12 +186,15 @@ def _alike(
     settings = pictures[0][1]
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
-        return parted(stripe, len(pictures))
+        return split_stripe(stripe, len(pictures))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
     wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
-    variance = _variance(columns, light, peaks.columns)
+    # Of each picture the noise of its own.
+    begin = np.searchsorted(peaks.columns, np.arange(1, len(columns)) * len(columns[0]))
+    each = zip(columns, np.split(light, begin), np.split(peaks.columns, begin), strict=True)
+    variance = np.concatenate([line_noise(one, seen, at).variance(seen) for one, seen, at in each])
     offset, slope = centring(window)
     variance_px = (slope**2 * variance).sum(axis=1)
     variance_px += _choice_variance(wide, offset, variance, centring)
@@ -206,15 +203,8 @@ def _alike(
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
-    found = centred(stripe, peaks, offset, np.sqrt(variance_px), kept)
-    return parted(found, len(pictures))
-
-
-def _variance(pictures: Sequence[GreyValues], light: Floats, at: Ints) -> Floats:
-    """Variance (K, n) in DN² of the light, by the noise of the picture that it was found in."""
-    begin = np.searchsorted(at, np.arange(1, len(pictures)) * len(pictures[0]))
-    known = zip(pictures, np.split(light, begin), np.split(at, begin), strict=True)
-    return np.concatenate([line_noise(one, seen, to).variance(seen) for one, seen, to in known])
+    found = stripe_at(stripe, peaks, offset, np.sqrt(variance_px), kept)
+    return split_stripe(found, len(pictures))
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:
@@ -422,7 +412,7 @@ def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
     Blais and Rioux, Signal Processing 11, 145 (1986), who use orders 2 m of 2, 4 and 8.
     """
     taps = np.maximum(np.rint(2 * seen.width_px), 1).astype(int)
-    filtered = _filtered(seen.light, taps)
+    filtered = _tap_difference(seen.light, taps)
     rises = (filtered[:, :-1] < 0) & (filtered[:, 1:] >= 0)
     inside = np.abs(seen.steps[:-1] + 0.5) <= np.ceil(2 * seen.width_px)[:, None] + 1
     distance = np.where(rises & inside, np.abs(seen.steps[:-1] + 0.5), np.inf)
@@ -438,7 +428,7 @@ def blais_rioux(seen: LineLight) -> tuple[Floats, Floats]:
     return seen.steps[at] + share, derivative
 
 
-def _filtered(light: Floats, taps: Ints) -> Floats:
+def _tap_difference(light: Floats, taps: Ints) -> Floats:
     """(K, n) sum of the ``taps`` (K,) pixels above each one less that of those below."""
     n = light.shape[1]
     total = np.concatenate([np.zeros((len(light), 1)), light.cumsum(axis=1)], axis=1)

@@ -76,7 +76,7 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     """The alignment of a raw scan of the sandwave block with its workpiece frame.
 
     Edges are first taken to lie beyond the last samples on them.  Where the surface knows the
-    line's brightness, they are then found by how it fades over them (fading.py): without that
+    line's brightness, they are then found by how it fades over them (edges.py): without that
     they are off by the column, and by the sheet, whose thickness lights an edge ahead of it.
 
     The wedges' tops come to z = wedge.height_mm, the midpoint of the corners W_L and W_R to its
@@ -110,8 +110,8 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     pose = rough_pose(features, piece)
     for window in WINDOWS_MM:
         selected = _select(features, pose, piece, window)
-        pose, edges = _refine(features.tops, _crossed(selected, piece), pose, piece, sheared)
-    fading = _fading(surface, pose, edges, list(selected), piece)
+        pose, edges = _refine(features.tops, _by_crossings(selected, piece), pose, piece, sheared)
+    fading = _by_fading(surface, pose, edges, list(selected), piece)
     if fading is not None:
         pose, edges = _refine(features.tops, fading, pose, piece, sheared)
     datum = _datum(surface, features, selected, pose, edges, sheared)
@@ -145,21 +145,21 @@ def rough_pose(features: Features, piece: Sandwave) -> BlockPose:
     across = features.centre_right - features.centre_left
     turn = float(np.arctan2(across[1], across[0]))
     middle = (features.centre_left + features.centre_right) / 2
-    return _placed(features.tops, 0.0, turn, middle, piece)
+    return _pose_at(features.tops, 0.0, turn, middle, piece)
 
 
-def _placed(
+def _pose_at(
     tops: Floats, yaw: float, turn: float, raw_middle: Floats, piece: Sandwave
 ) -> BlockPose:
     """The pose that brings the raw point (3,) between the corners to its nominal place."""
-    rotation = _about_z(-turn) @ level(tops @ shear(yaw).T)
+    rotation = _rotation_about_z(-turn) @ level(tops @ shear(yaw).T)
     matrix = rotation @ shear(yaw)
     height = piece.wedge.height_mm - float((tops @ matrix[2]).mean())
     shift = _nominal_middle(piece) - (matrix @ raw_middle)[:2]
     return BlockPose(yaw, turn, np.array([*shift, height]), rotation)
 
 
-def _about_z(angle: float) -> Floats:
+def _rotation_about_z(angle: float) -> Floats:
     cosine, sine = np.cos(angle), np.sin(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
@@ -231,7 +231,7 @@ def _refine(
         # About the place the middle of the corners has.
         inverse = np.linalg.inv(pose.rotation @ shear(pose.yaw))
         raw_middle = inverse @ (np.array([*middle, piece.wedge.height_mm]) - pose.shift)
-        pose = _placed(tops, pose.yaw - yaw_error, pose.turn + turn_error, raw_middle, piece)
+        pose = _pose_at(tops, pose.yaw - yaw_error, pose.turn + turn_error, raw_middle, piece)
         shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
         if max(abs(yaw_error), abs(turn_error), shift) < SETTLED_RAD:
             return pose, edges
@@ -287,7 +287,7 @@ _Finder = Callable[[BlockPose, Floats | None], _Edges]
 """Finds the edges in a pose; the weights say how much each sample counts, once decided."""
 
 
-def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
+def _by_crossings(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
     """Finds edges between the last samples on them and the first ones off them."""
 
     def find(pose: BlockPose, weight: Floats | None) -> _Edges:
@@ -297,7 +297,7 @@ def _crossed(selected: Mapping[str, EdgeCrossings], piece: Sandwave) -> _Finder:
     return find
 
 
-def _fading(
+def _by_fading(
     surface: Surface, pose: BlockPose, edges: _Edges, names: Sequence[str], piece: Sandwave
 ) -> _Finder | None:
     """Finds edges by the fading of the line; None where too little of it is seen or known."""

@@ -194,7 +194,7 @@ def parameter_modes(datum: Datum, modes: NDArray[np.floating]) -> Floats:
     """
     points = np.concatenate([datum.tops, *(edge.inside for edge in datum.edges)])
     given = displacement(points, datum.pivot, datum.rotation, datum.yaw_rad)
-    noise, vectors = np.linalg.eigh(_noise(datum))
+    noise, vectors = np.linalg.eigh(_noise_covariance(datum))
     left = np.column_stack([_conditions(datum, modes), vectors * np.sqrt(np.maximum(noise, 0.0))])
     matrix = _conditions(datum, given)
     if datum.sheared:
@@ -237,14 +237,18 @@ def _conditions(datum: Datum, field: NDArray[np.floating]) -> Floats:
     """(7, C) the seven quantities of C displacements (P, 3, C) of the tops, then the edges."""
     count = len(datum.tops)
     plane = np.linalg.lstsq(_plane_design(datum), field[:count, 2], rcond=None)[0]
-    design = _edge_design(datum)
-    slope = np.repeat([edge.slope for edge in datum.edges], [len(e.index) for e in datum.edges])
+    counts = [len(edge.index) for edge in datum.edges]
+    which = np.repeat(np.arange(len(datum.edges)), counts)
+    y = np.concatenate([edge.inside[:, 1] for edge in datum.edges]) - datum.pivot[1]
+    # What the lean and each edge's place do to the crossings, as in edges.py.
+    design = np.column_stack([y, np.eye(len(datum.edges))[which]])
+    slope = np.repeat([edge.slope for edge in datum.edges], counts)
     across = field[count:, 0] - slope[:, None] * field[count:, 1]
     edges = np.linalg.lstsq(design, across, rcond=None)[0]
     return np.concatenate([plane, _from_edges(datum) @ edges])
 
 
-def _noise(datum: Datum) -> Floats:
+def _noise_covariance(datum: Datum) -> Floats:
     """(7, 7) covariance of the seven quantities from the points' own noise."""
     spread = np.linalg.pinv(_plane_design(datum)) * datum.top_sigma_mm
     edges = _from_edges(datum)
@@ -256,13 +260,6 @@ def _noise(datum: Datum) -> Floats:
 def _plane_design(datum: Datum) -> Floats:
     """(K, 3) of a plane through the tops."""
     return np.column_stack([np.ones(len(datum.tops)), (datum.tops - datum.pivot)[:, :2]])
-
-
-def _edge_design(datum: Datum) -> Floats:
-    """(K, E + 1) what the lean and each edge's place do to the crossings, as in edges.py."""
-    which = np.repeat(np.arange(len(datum.edges)), [len(edge.index) for edge in datum.edges])
-    y = np.concatenate([edge.inside[:, 1] for edge in datum.edges]) - datum.pivot[1]
-    return np.column_stack([y, np.eye(len(datum.edges))[which]])
 
 
 def _from_edges(datum: Datum) -> Floats:
@@ -306,7 +303,7 @@ class Alignment:
     base_mm : float, mm, height of the base plane in the workpiece frame
     left_corner_mm, right_corner_mm : (2,) array, mm, W_L and W_R in the workpiece plan
     pivot_mm : (3,) array, mm, the corners' middle, about which the parameters of ``modes`` turn
-    modes : (7, M + 7) array, mm and rad, how the alignment errs (datum.py): with each of the
+    modes : (7, M + 7) array, mm and rad, how the alignment errs: with each of the
         surface's M modes, and with seven independent errors of its own
     sheared : bool, False where the scan was made about a shaft and so has no yaw
 
@@ -362,7 +359,7 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
 
     Parameters
     ----------
-    alignment : Alignment, found in this surface, or in another (keptalignment.py)
+    alignment : Alignment, found in this surface, or in another
     surface : Surface, frame of the head
 
     Raises
@@ -502,7 +499,7 @@ class AlignmentFile(Strict):
     """The whole file.
 
     rotation, translation_mm: as of alignment.Alignment.  covariance: of the alignment's own
-    errors, in the order of datum.py: rotations about x, y and z, yaw (degrees), shifts (mm), all
+    errors, in this order: rotations about x, y and z, yaw (degrees), shifts (mm), all
     about the pivot.  by_calibration: change of these parameters by each independent error of the
     calibration that is one standard deviation large.
     """

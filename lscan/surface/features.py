@@ -71,8 +71,9 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     block = valid & (height > -(piece.body_mm + _crest(piece)) / 2)
     patch_left, patch_right = _wedge_tops(surface.xyz_mm, block, height, piece)
     tops = patch_left | patch_right
-    step_mm = _profile_spacing(surface.xyz_mm, valid)
-    inner = tops & _clear(tops, step_mm, spacing)
+    steps = np.diff(surface.xyz_mm[..., 1], axis=0)[valid[1:] & valid[:-1]]
+    step_mm = float(np.median(np.abs(steps))) if len(steps) else 0.0
+    inner = tops & _away_from_ends(tops, step_mm, spacing)
     if np.count_nonzero(inner) < 3:
         raise MeasurementError(
             f"wedges' tops: {np.count_nonzero(inner)} points lie {TOP_MARGIN_MM} mm within their "
@@ -103,7 +104,7 @@ TOP_MARGIN_MM = 1.5
 """Sheets are that thick: nearer to an edge part of the light is lost, and the line displaced."""
 
 
-def _clear(tops: Mask, along_mm: float, spacing: Floats) -> Mask:
+def _away_from_ends(tops: Mask, along_mm: float, spacing: Floats) -> Mask:
     """Mask of the samples that are a margin away from where the tops end; holes are no end.
 
     along_mm: from one profile to the next.  spacing: (N,) from one column to the next.
@@ -200,12 +201,6 @@ def _column_spacing(xyz: Floats, valid: Mask) -> Floats:
     return spacing
 
 
-def _profile_spacing(xyz: Floats, valid: Mask) -> float:
-    """Median distance in mm along y from one profile to the next; 0 where none has another."""
-    steps = np.diff(xyz[..., 1], axis=0)[valid[1:] & valid[:-1]]
-    return float(np.median(np.abs(steps))) if len(steps) else 0.0
-
-
 def _wedge_tops(xyz: Floats, block: Mask, height: Floats, piece: Sandwave) -> tuple[Mask, Mask]:
     """Masks of the left and the right wedge's flat top: the two patches a block apart."""
     high = block & near_level(height, piece.wedge.height_mm, piece)
@@ -227,12 +222,12 @@ def _wedge_tops(xyz: Floats, block: Mask, height: Floats, piece: Sandwave) -> tu
         if centres[a][0] < centres[b][0]
     ]
     if not pairs or min(pairs)[0] > 0.1 * apart:
-        raise MeasurementError(_missing(centres, xyz[block]))
+        raise MeasurementError(_missing_wedges(centres, xyz[block]))
     _, left, right = min(pairs)
     return labels == left, labels == right
 
 
-def _missing(centres: dict[int, Floats], block: Floats) -> str:
+def _missing_wedges(centres: dict[int, Floats], block: Floats) -> str:
     """What to say where the pair of wedges is not complete."""
     what = "no sandwave block in the scan: neither the left nor the right wedge's top is found"
     if len(centres) == 1:
@@ -402,7 +397,7 @@ def nominal_top(piece: Sandwave, plan_mm: Floats, margin_mm: float) -> NominalTo
     far = piece.side_mm
     inset = np.minimum(np.minimum(x, far - x), np.minimum(y, far - y))
     waves = inset > 0
-    wedge = _into_wedge(piece, plan_mm)
+    wedge = _distance_into_wedge(piece, plan_mm)
     height = np.where(waves, piece.height_mm(x, y), np.where(wedge > 0, piece.wedge.height_mm, 0.0))
     slope = np.where(waves[:, None], piece.slopes(x, y), 0.0)
     clear = (np.abs(inset) > margin_mm) & (np.abs(wedge) > margin_mm)
@@ -441,7 +436,7 @@ def _off_tangent(
     return (offset * top.normal).sum(axis=1), top
 
 
-def _into_wedge(piece: Sandwave, plan_mm: Floats) -> Floats:
+def _distance_into_wedge(piece: Sandwave, plan_mm: Floats) -> Floats:
     """(N,) distance in plan to the inner edges of the nearer wedge, mm; negative outside."""
     x, y = plan_mm.T
     half, reach = piece.wedge.base_mm / 2, piece.wedge.reach_mm

@@ -27,7 +27,7 @@ from lscan.files.containers import (
     in_mm,
     netcdf_bytes,
     open_hdf5,
-    unpacked,
+    unpack,
 )
 from lscan.files.disk import open_regular, read_bytes, write_atomically
 from lscan.records import Floats, Mask, Provenance, Status, Surface, has_value
@@ -37,8 +37,7 @@ from lscan.version import __version__
 # Reading the NetCDF file of a surface: the few arrays wanted, each looked at before it is read.
 #
 # NetCDF-4 is HDF5, read as containers.py reads it.  NetCDF-3, a format of its own, refers to no
-# other
-# file, but may say that many arrays share the same bytes: they are mapped, not copied.
+# other file, but may say that many arrays share the same bytes: they are mapped, not copied.
 
 
 DIMENSIONS = ("frame", "column")
@@ -80,14 +79,18 @@ def read_arrays(
     """
     with open_regular(path, MOST_BYTES) as stream:
         read = _read_classic if stream.read(3) == b"CDF" else _read_hdf5
-    arrays, attributes = read(path, partial(_wanted, needed, optional, path))
-    order = _order(arrays)
-    values = {name: _meant(name, array, order, path) for name, array in arrays.items()}
+    arrays, attributes = read(path, partial(_names_to_read, needed, optional, path))
+    # Other programs rename the dimensions, and change their order; the track position's is that of
+    # the profiles.
+    profiles = arrays["position"].dimensions
+    columns = (name for name in arrays["status"].dimensions if name not in profiles)
+    order = {name: place for place, name in enumerate((*profiles, *columns, "axis", "mode"))}
+    values = {name: _physical_values(name, array, order, path) for name, array in arrays.items()}
     texts = {name: as_text(value) for name, value in attributes.items()}
     return values, attributes | {name: text for name, text in texts.items() if text is not None}
 
 
-def _wanted(
+def _names_to_read(
     needed: tuple[str, ...], optional: tuple[str, ...], path: Path, there: Collection[str]
 ) -> list[str]:
     """Names of the arrays to read, of those that are there."""
@@ -110,7 +113,7 @@ def _read_hdf5(path: Path, wanted: _Wanted) -> _Read:
     with open_hdf5(path, MOST_BYTES, "NetCDF", texts=True) as file:
         names = wanted(set(file))  # asking the file for a name follows its link
         attributes = {name: file.attrs[name] for name in ATTRIBUTES if name in file.attrs}
-        return {name: _array(file, name, path) for name in names}, attributes
+        return {name: _read_array(file, name, path) for name in names}, attributes
 
 
 def _read_classic(path: Path, wanted: _Wanted) -> _Read:
@@ -145,7 +148,7 @@ def _classic_arrays(content: bytes, path: Path, wanted: _Wanted) -> _Read:
             return arrays, {key: getattr(file, key) for key in ATTRIBUTES if hasattr(file, key)}
 
 
-def _array(file: h5py.File, name: str, path: Path) -> NetcdfArray:
+def _read_array(file: h5py.File, name: str, path: Path) -> NetcdfArray:
     """One array, once it is known to be of numbers, not too many, and in this file."""
     found = hdf5_array(file, name, _most(name), path)
     _require_numbers(name, found, path)
@@ -176,17 +179,7 @@ def _dimensions(found: h5py.Dataset) -> tuple[str, ...]:
     return (found.name[1:],) if found.is_scale else ()
 
 
-def _order(arrays: Mapping[str, NetcdfArray]) -> dict[str, int]:
-    """Places of the dimensions by name: other programs rename them, and change their order.
-
-    That of the track position is that of the profiles.
-    """
-    profiles = arrays["position"].dimensions
-    columns = (name for name in arrays["status"].dimensions if name not in profiles)
-    return {name: place for place, name in enumerate((*profiles, *columns, "axis", "mode"))}
-
-
-def _meant(name: str, array: NetcdfArray, order: Mapping[str, int], path: Path) -> Floats:
+def _physical_values(name: str, array: NetcdfArray, order: Mapping[str, int], path: Path) -> Floats:
     """The numbers that an array stands for."""
     where, attributes = f"{path}: {name}", array.attributes
     for key, ours in {"positive": "up", "cell_methods": "point"}.items():
@@ -195,7 +188,7 @@ def _meant(name: str, array: NetcdfArray, order: Mapping[str, int], path: Path) 
             raise InputError(f"{key}: of another quantity", where=where, value=value, allowed=ours)
     if name == "status":
         _require_our_codes(attributes, where)
-    values = unpacked(array, where)
+    values = unpack(array, where)
     if name != "status":
         values = in_mm(values, as_text(attributes.get("units")), where)
     places = [order.get(dimension, len(DIMENSIONS)) for dimension in array.dimensions]
@@ -317,8 +310,9 @@ def load_surface(path: Path | str) -> Surface:
         raise InputError("status: holds what is no status", where=path)
     if not np.isfinite(arrays["position"]).all():
         raise InputError("position: is not known of each profile", where=path)
-    xyz, status = np.stack([arrays[name] for name in "xyz"], axis=-1), arrays["status"]
-    there = has_value(status.astype(np.int64)) & np.isfinite(xyz).all(axis=-1)
+    xyz = np.stack([arrays[name] for name in "xyz"], axis=-1)
+    codes = arrays["status"].astype(np.int64)
+    there = has_value(codes) & np.isfinite(xyz).all(axis=-1)
     for name in ("x_sigma", "y_sigma", "z_sigma"):
         if name in arrays and not (arrays[name][there] >= 0).all():
             raise InputError(f"{name}: is no uncertainty at a point that has a value", where=path)
@@ -330,7 +324,8 @@ def load_surface(path: Path | str) -> Surface:
         xyz_mm=xyz,
         sigma_x_mm=arrays["x_sigma"],
         sigma_z_mm=arrays["z_sigma"],
-        status=_without_lost_points(status.astype(np.int64), there),
+        # Another program may have taken a point's x, y or z away.
+        status=np.where(has_value(codes) & ~there, Status.NO_DATA, codes),
         position_mm=arrays["position"],
         frame=cast(Literal["head", "workpiece"], frame),
         modes_mm=arrays["modes"].astype(np.float32) if "modes" in arrays else None,
@@ -340,11 +335,6 @@ def load_surface(path: Path | str) -> Surface:
         yaw_sigma_rad=_angle(path, attributes, "yaw_sigma_deg"),
         provenance=_provenance(path, attributes),
     )
-
-
-def _without_lost_points(status: NDArray[np.int64], there: Mask) -> NDArray[np.int64]:
-    """The status with NO_DATA where another program has taken a point's x, y or z away."""
-    return np.where(has_value(status) & ~there, Status.NO_DATA, status)
 
 
 def _angle(path: Path, attributes: Mapping[str, Any], name: str) -> float | None:

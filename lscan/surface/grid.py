@@ -105,7 +105,7 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
         )
     x, y = ((low[k] + np.arange(n) + 0.5) * cell_mm for k, n in enumerate((columns, rows)))
     offset = (xyz[:, :2] - np.column_stack([x[place[:, 0]], y[place[:, 1]]])) / (cell_mm / 2)
-    samples, enclosed = _fitted(place[:, 1] * columns + place[:, 0], offset, cell_mm / 2)
+    samples, enclosed = _cell_weights(place[:, 1] * columns + place[:, 0], offset, cell_mm / 2)
     where = samples.cell[samples.starts[enclosed]]
 
     def spread(values: Floats, missing: float) -> Floats:
@@ -116,7 +116,7 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
 
     height, slope_x, slope_y = (samples.total(w * xyz[samples.order, 2]) for w in samples.weight)
     slopes = np.stack([slope_x, slope_y], axis=-1)
-    variance = _own(surface, valid, samples, slopes)
+    variance = _own_variance(surface, valid, samples, slopes)
     if bias_mm is not None:
         variance += samples.total(samples.weight[0] * bias_mm[valid][samples.order]) ** 2
     modes = _modes(surface, valid, samples, slopes)
@@ -149,7 +149,7 @@ def _check(surface: Surface, cell_mm: float, bias_mm: Floats | None, any_point: 
         raise MeasurementError("the surface holds no measured point to grid")
 
 
-def _fitted(cell: Ints, offset: Floats, half_mm: float) -> tuple[_CellSamples, Ints]:
+def _cell_weights(cell: Ints, offset: Floats, half_mm: float) -> tuple[_CellSamples, Ints]:
     """The weights of each point, and which of the cells with points have a height."""
     order = np.argsort(cell, kind="stable")
     ordered, (a, b) = cell[order], offset[order].T
@@ -165,7 +165,7 @@ def _fitted(cell: Ints, offset: Floats, half_mm: float) -> tuple[_CellSamples, I
     return _CellSamples(order, ordered, starts, weight), enclosed
 
 
-def _own(surface: Surface, valid: Mask, samples: _CellSamples, slopes: Floats) -> Floats:
+def _own_variance(surface: Surface, valid: Mask, samples: _CellSamples, slopes: Floats) -> Floats:
     """(C,) variance of the heights from each point's own noise, mm²."""
     own_x, _, own_z = own_variances(surface)[valid][samples.order].T
     count = np.diff(samples.starts, append=len(samples.order))

@@ -338,15 +338,17 @@ def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) 
     samples = _samples(profiles, height > -piece.body_mm / 2)
     zero = np.zeros(POSE + PARAMETERS + samples.modes.shape[2])
     start = _State(pose.rotation, pose.shift, zero)
-    state, terms, kept = _settled(samples, piece, prior, start)
+    state, terms, kept = _solve(samples, piece, prior, start)
     covariance, cells = _covariance(terms, kept)
     root = prior.root
     moved = root @ state.amounts[OF_SHAFT]
     shaft = prior.moved(moved)
     own = covariance[OF_SHAFT, OF_SHAFT]
+    turn = np.eye(PARAMETERS)  # from the axes before to those of the shaft found
+    turn[:2, :2] = turn[2:4, 2:4] = shaft.axes @ prior.axes.T
     distance = terms.distance[kept]
     return ShaftFit(
-        shaft=replace(shaft, covariance=_along(shaft.axes, prior.axes, root @ own @ root.T)),
+        shaft=replace(shaft, covariance=turn @ (root @ own @ root.T) @ turn.T),
         prior=prior,
         moved=moved,
         rotation=state.rotation,
@@ -395,7 +397,7 @@ class _State:
     shift: Floats
     amounts: Floats
 
-    def stepped(self, step: Floats, pivot: Floats) -> "_State":
+    def after_step(self, step: Floats, pivot: Floats) -> "_State":
         """The state after a step (11 + M,), the workpiece turned about ``pivot`` (3,)."""
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         shift = turn @ (self.shift - pivot) + pivot + step[3:POSE]
@@ -420,7 +422,7 @@ class _Terms:
     cell: Ints
 
 
-def _settled(
+def _solve(
     samples: _SheetSamples, piece: Sandwave, prior: Shaft, state: _State
 ) -> tuple[_State, _Terms, Mask]:
     """The state of least squares, the terms there, and which points had a part in it."""
@@ -430,11 +432,11 @@ def _settled(
         terms = _terms(samples, piece, prior, state, pivot)
         if kept is None or iteration < UNDECIDED_ITERATIONS:
             kept = _no_outliers(terms)
-        terms = _weighed(terms, kept)
+        terms = _widen_sigmas(terms, kept)
         step, length = _step(terms, kept)
-        state = state.stepped(step, pivot)
+        state = state.after_step(step, pivot)
         if length < SETTLED and iteration >= UNDECIDED_ITERATIONS:
-            return state, _weighed(_terms(samples, piece, prior, state, pivot), kept), kept
+            return state, _widen_sigmas(_terms(samples, piece, prior, state, pivot), kept), kept
     raise MeasurementError(
         f"the shaft did not settle in {MAX_ITERATIONS} rounds: still {length:.2g} sigma a step"
     )
@@ -484,7 +486,7 @@ def _no_outliers(terms: _Terms) -> Mask:
     return terms.clear & (ratio < OUTLIER * spread)
 
 
-def _weighed(terms: _Terms, kept: Mask) -> _Terms:
+def _widen_sigmas(terms: _Terms, kept: Mask) -> _Terms:
     """The terms with sigmas widened to the scatter of the points, where that is larger."""
     chi2 = float(np.mean((terms.distance[kept] / terms.sigma[kept]) ** 2))
     return replace(terms, sigma=terms.sigma * max(np.sqrt(chi2), 1.0))
@@ -517,14 +519,6 @@ def _covariance(terms: _Terms, kept: Mask) -> tuple[Floats, int]:
     fitted = float(np.trace(bread @ data))
     meat = scores.T @ scores * (cells / max(cells - fitted, 1.0))
     return bread @ (meat + np.diag(terms.prior)) @ bread, cells
-
-
-def _along(new: Floats, old: Floats, covariance: Floats) -> Floats:
-    """The covariance (5, 5) given along the ``new`` axes (2, 3) instead of the ``old``."""
-    turn = new @ old.T
-    matrix = np.eye(PARAMETERS)
-    matrix[:2, :2] = matrix[2:4, 2:4] = turn
-    return matrix @ covariance @ matrix.T
 
 
 # The section ``[shaft]`` as a file by itself, to be included in a rig file.

@@ -138,7 +138,7 @@ def _rows_around(height: Floats, rows: Floats) -> Floats:
 # (derived here: half of zeta'' is the mean of the parabola, one zeta'' the stretching).  The first
 # term follows the concavity across the sheet, the second slope times concavity. Profiles of
 # neighbouring track positions give both, for the target stands still.  Relief as fine as the sheet
-# is thick has higher terms: relief.py.
+# is thick has higher terms: thickness.py.
 
 
 REACH_IN_SIGMAS = 4.0
@@ -361,7 +361,7 @@ class ReliefSpectrum:
 
     @property
     def series_variance(self) -> float:
-        """Variance in mm² of what the series' first term (concavity.py) leaves of the relief.
+        """Variance in mm² of what the series' first term leaves of the relief.
 
         The second derivative of the quadratic that fits best within a circle of radius r shows a
         wave of x = 2 pi k r with the gain 48 J3(x) / x³, J3 being a Bessel function (derived here,

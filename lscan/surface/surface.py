@@ -82,7 +82,7 @@ def to_profiles(
             raise InputError("track position is not finite", where="to_profile", value=position_mm)
     pixels, sigma_px = ([stripe.image_px for stripe in stripes], [s.sigma_px for s in stripes])
     mapped = plane_map.to_plane(np.concatenate(pixels), np.concatenate(sigma_px))
-    points = _placed(np.concatenate([stripe.status for stripe in stripes]), mapped)
+    points = _with_stripe_status(np.concatenate([stripe.status for stripe in stripes]), mapped)
     profiles, first = [], 0
     for stripe, position_mm in zip(stripes, positions_mm, strict=True):
         part = slice(first, first + len(stripe.status))
@@ -92,7 +92,7 @@ def to_profiles(
     return profiles
 
 
-def _placed(found: Ints, mapped: PlanePoints) -> PlanePoints:
+def _with_stripe_status(found: Ints, mapped: PlanePoints) -> PlanePoints:
     """The points that a map has placed, with what the stripe says of them."""
     status = np.where(~has_value(found) | (mapped.status == Status.OK), found, mapped.status)
     valued = has_value(status)[:, None]
@@ -267,7 +267,7 @@ def resample(surface: Surface, line: tuple[Floats, Floats], step_mm: float = 0.5
     if not step_mm > 0:
         raise InputError("step is not positive", where="slice", value=step_mm, allowed="> 0 mm")
     along = np.linspace(0.0, length, max(round(length / step_mm), 1) + 1)
-    return _sampled(surface, start + along[:, None] * (end - start) / length, along)
+    return _slice_at(surface, start + along[:, None] * (end - start) / length, along)
 
 
 def sample(surface: Surface, xy_mm: Floats) -> Slice:
@@ -285,10 +285,10 @@ def sample(surface: Surface, xy_mm: Floats) -> Slice:
         For a surface without points.
     """
     steps = np.linalg.norm(np.diff(xy_mm, axis=0, prepend=xy_mm[:1]), axis=1)
-    return _sampled(surface, xy_mm, np.cumsum(steps))
+    return _slice_at(surface, xy_mm, np.cumsum(steps))
 
 
-def _sampled(surface: Surface, xy: Floats, along: Floats) -> Slice:
+def _slice_at(surface: Surface, xy: Floats, along: Floats) -> Slice:
     """The heights at places (M, 2), mm, that lie at ``along`` (M,)."""
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     if not valid.any():

@@ -1,10 +1,10 @@
 """Correcting for what the sheet's thickness does to a line on a sloping or curved target.
 
-On smooth targets the first terms of a series say it exactly (concavity.py); on relief as fine as
-the sheet is thick they do not, and the relief's spectrum does better (relief.py).  In each part of
-a surface the correction with the smaller expected error is made, and what it cannot recover
-enters the uncertainty.  A wall has a wide spectrum too: where most of a surface is smooth, what the
-spectra of its other parts say is taken for walls, and the series is used.
+On smooth targets the first terms of a series say it exactly (sheetresponse.py); on relief as fine
+as the sheet is thick they do not, and the relief's spectrum does better.  In each part of a surface
+the correction with the smaller expected error is made, and what it cannot recover enters the
+uncertainty.  A wall has a wide spectrum too: where most of a surface is smooth, what the spectra of
+its other parts say is taken for walls, and the series is used.
 """
 
 from collections.abc import Iterator
@@ -32,7 +32,7 @@ from lscan.surface.surface import require_head_frame
 #
 # The surface is taken block by block.  A block is laid along the direction d in which the
 # camera looks across the sheet (sheetresponse.py), its spectrum says which waves of the relief are
-# in what was measured (reliefspectrum.py), and a smooth estimate of the true relief is made, from
+# in what was measured (sheetresponse.py), and a smooth estimate of the true relief is made, from
 # which follows what the sheet's thickness does to it.  That is taken off the heights as measured;
 # their own noise stays theirs.
 
@@ -175,12 +175,12 @@ def relief_blocks(surface: Surface, sheet: SheetSection, yaw_rad: float) -> Iter
     if min(shape) < 2 or lattice.row_mm == 0 or lattice.column_mm == 0:
         return
     every = np.arange(shape[1])
-    whole = _Laid(lattice.height, every, np.broadcast_to(every, shape), 0, 1.0)
+    whole = _LaidBlock(lattice.height, every, np.broadcast_to(every, shape), 0, 1.0)
     usual = _spectrum(lattice, whole)
     if usual is None:
         return
     for rows, columns, weight in _blocks(shape):
-        laid = _laid(lattice, rows, columns)
+        laid = _lay_along(lattice, rows, columns)
         own = _spectrum(lattice, laid)
         spectrum = own or usual
         shift, variance = _unlaid(laid, _laid_shift(lattice, laid, spectrum), rows, columns)
@@ -199,7 +199,7 @@ def _blocks(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice, Floats]]:
 
 
 @dataclass(frozen=True)
-class _Laid:
+class _LaidBlock:
     """A part of a lattice whose columns run along d.
 
     height: (R, C) mm, NaN where unknown.  columns: (C,) of the lattice, where the laid columns
@@ -214,7 +214,7 @@ class _Laid:
     noise_share: float
 
 
-def _laid(lattice: _Lattice, rows: slice, columns: slice) -> _Laid:
+def _lay_along(lattice: _Lattice, rows: slice, columns: slice) -> _LaidBlock:
     """The block and what the filter reaches around it, laid along d."""
     count, width = lattice.height.shape
     middle = (rows.start + rows.stop - 1) / 2
@@ -228,10 +228,10 @@ def _laid(lattice: _Lattice, rows: slice, columns: slice) -> _Laid:
     height = np.where(part == 0, beside[0], (1 - part) * beside[0] + part * beside[1])
     height[(part < 0) | (part > 1)] = np.nan
     share = float(np.mean(part**2 + (1 - part) ** 2))
-    return _Laid(height, chosen, place, int(every[0]), min(share, 1.0))
+    return _LaidBlock(height, chosen, place, int(every[0]), min(share, 1.0))
 
 
-def _spectrum(lattice: _Lattice, laid: _Laid) -> ReliefSpectrum | None:
+def _spectrum(lattice: _Lattice, laid: _LaidBlock) -> ReliefSpectrum | None:
     """The spectra of a laid part; None where it holds too few whole segments."""
     own = lattice.own[:, laid.columns]
     own = own[np.isfinite(own)]
@@ -250,14 +250,16 @@ def _spectrum(lattice: _Lattice, laid: _Laid) -> ReliefSpectrum | None:
     return spectrum_of(segments, lattice.pitch_mm, lattice.sigma_mm, noise_mm)
 
 
-def _walls(lattice: _Lattice, laid: _Laid, noise_mm: float) -> Mask:
+def _walls(lattice: _Lattice, laid: _LaidBlock, noise_mm: float) -> Mask:
     """(R - 1, C) between which rows the target is steeper than a slope, or rows are missing."""
     most = STEEPEST * lattice.pitch_mm + NOISY * np.sqrt(2) * noise_mm
     steep = np.abs(np.diff(laid.height, axis=0)) > most
     return np.asarray(steep | lattice.missing[laid.first_row :][: len(steep), None])
 
 
-def _laid_shift(lattice: _Lattice, laid: _Laid, spectrum: ReliefSpectrum) -> tuple[Floats, Floats]:
+def _laid_shift(
+    lattice: _Lattice, laid: _LaidBlock, spectrum: ReliefSpectrum
+) -> tuple[Floats, Floats]:
     """(R, C) displacement of a laid part's heights in mm and its variance; NaN where unknown."""
     noise_mm = float(np.sqrt(spectrum.noise / lattice.pitch_mm))
     kernel = _kernel(spectrum, lattice)
@@ -267,8 +269,8 @@ def _laid_shift(lattice: _Lattice, laid: _Laid, spectrum: ReliefSpectrum) -> tup
     for _ in range(ROUNDS):
         straight = laid.height - curved
         for column, start, stop in ends:
-            smooth[start:stop, column] = _filtered(straight[start:stop, column], kernel)
-        filled = _filled(smooth)
+            smooth[start:stop, column] = _filter(straight[start:stop, column], kernel)
+        filled = _fill_gaps(smooth)
         shown, linear = responses(
             filled,
             lattice.row_mm,
@@ -282,7 +284,7 @@ def _laid_shift(lattice: _Lattice, laid: _Laid, spectrum: ReliefSpectrum) -> tup
     for column, start, stop in ends:
         clear[start + near : stop - near, column] = True
     misfit = np.where(clear, laid.height - shown, np.nan)
-    variance = spectrum.correction_variance + _unexplained(misfit, spectrum.left_variance)
+    variance = spectrum.correction_variance + _unexplained_variance(misfit, spectrum.left_variance)
     return np.where(clear, shown - filled, np.nan), np.where(clear, variance, np.nan)
 
 
@@ -312,7 +314,7 @@ def _pieces(height: Floats, wall: Mask) -> list[tuple[int, int, int]]:
     return found
 
 
-def _filtered(heights: Floats, kernel: Floats) -> Floats:
+def _filter(heights: Floats, kernel: Floats) -> Floats:
     """(R,) heights through the filter; at the ends they go on as their own image in a point."""
     beyond = len(kernel) // 2
     if 0 < beyond < len(heights):  # as np.pad does, in a fifth of its time
@@ -323,7 +325,7 @@ def _filtered(heights: Floats, kernel: Floats) -> Floats:
     return np.convolve(padded, kernel, mode="valid")
 
 
-def _filled(values: Floats) -> Floats:
+def _fill_gaps(values: Floats) -> Floats:
     """The array with the nearest value in each gap; 0 where there is none at all."""
     gaps = ~np.isfinite(values)
     if gaps.all():
@@ -332,7 +334,7 @@ def _filled(values: Floats) -> Floats:
     return values[tuple(nearest)]
 
 
-def _unexplained(misfit: Floats, expected: float) -> Floats:
+def _unexplained_variance(misfit: Floats, expected: float) -> Floats:
     """(R, C) mean square of the misfit about each place, less what is expected."""
     known = np.isfinite(misfit)
     count = uniform_filter(known.astype(float), AROUND)
@@ -341,7 +343,7 @@ def _unexplained(misfit: Floats, expected: float) -> Floats:
 
 
 def _unlaid(
-    laid: _Laid, values: tuple[Floats, Floats], rows: slice, columns: slice
+    laid: _LaidBlock, values: tuple[Floats, Floats], rows: slice, columns: slice
 ) -> tuple[Floats, ...]:
     """Values of the laid part at the block's own places, (R, C) each."""
     wanted = np.arange(columns.start, columns.stop)
@@ -379,7 +381,7 @@ def correct_thickness(surface: Surface, sheet: SheetSection, yaw_rad: float = 0.
 
     References
     ----------
-    docs/explanation/concavity.md; derived in concavity.py, sheetresponse.py and reliefspectrum.py.
+    docs/explanation/concavity.md; derived in sheetresponse.py.
     """
     require_head_frame(surface)
     shift, variance, recovered = _shifts(surface, sheet, yaw_rad)

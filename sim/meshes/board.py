@@ -91,7 +91,7 @@ def _mark_polygons(true: TrueBoard) -> list[Polygon]:
 
     def discs(places: Floats, diameter_mm: float, shifts: Floats) -> list[Polygon]:
         pairs = zip(places, shifts, strict=True)
-        return [_printed(true, _disc(place, diameter_mm), shift) for place, shift in pairs]
+        return [_printed_outline(true, _disc(place, diameter_mm), shift) for place, shift in pairs]
 
     polygons = discs(board.grid.points_mm(), board.grid.dot_diameter_mm, grid)
     for ruler, shifts in zip(board.ruler, rulers, strict=True):
@@ -102,11 +102,11 @@ def _mark_polygons(true: TrueBoard) -> list[Polygon]:
         centre = np.array([ring.x_mm, ring.z_mm])
         outer = _disc(centre, ring.diameter_mm + ring.width_mm)
         milled = outer.difference(_disc(centre, ring.diameter_mm - ring.width_mm))
-        polygons.append(_printed(true, milled, shift))
+        polygons.append(_printed_outline(true, milled, shift))
     return polygons
 
 
-def _printed(true: TrueBoard, mark: Polygon, shift: Floats) -> Polygon:
+def _printed_outline(true: TrueBoard, mark: Polygon, shift: Floats) -> Polygon:
     """A nominal mark as it is printed."""
     return shapely.transform(mark, lambda places: true.printed(places, shift))
 

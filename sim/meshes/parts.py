@@ -69,7 +69,7 @@ class MeshPart:
     paint: Paint | None = None
 
 
-def moved(part: MeshPart, pose: Pose) -> MeshPart:
+def move_part(part: MeshPart, pose: Pose) -> MeshPart:
     """The part, out of the pose's inner frame into its outer one."""
     mesh = part.mesh
     normals = mesh.vertex_normals @ pose.rotation.T if part.smooth else None

@@ -15,7 +15,7 @@ from sim.meshes.board import board_parts
 from sim.meshes.parts import (
     Finish,
     MeshPart,
-    moved,
+    move_part,
     picture_paint,
     plain_mesh,
     reflectance_at,
@@ -46,7 +46,7 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
         As ``target_parts``.
     """
     pose = target_pose(scene)
-    parts = [moved(part, pose) for part in target_parts(scene)]
+    parts = [move_part(part, pose) for part in target_parts(scene)]
     floor = scene.tank.floor
     if floor is not None:
         square = plain_mesh(floor_corners_mm(scene), np.array([[0, 1, 2], [0, 2, 3]]))
@@ -67,7 +67,7 @@ def target_mesh(scene: Scene) -> trimesh.Trimesh:
         As ``target_parts``.
     """
     pose = target_pose(scene)
-    meshes = [moved(part, pose).mesh for part in target_parts(scene)]
+    meshes = [move_part(part, pose).mesh for part in target_parts(scene)]
     return trimesh.util.concatenate(meshes) if meshes else trimesh.Trimesh()
 
 
@@ -96,7 +96,7 @@ def target_parts(scene: Scene) -> list[MeshPart]:
     parts = [replace(part, finish=finish) for part in _bare_parts(scene, albedo)]
     if target.texture is None:
         return parts
-    return [_papered(part, scene, target.texture) for part in parts]
+    return [_with_texture(part, scene, target.texture) for part in parts]
 
 
 def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
@@ -106,7 +106,7 @@ def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
     if target.sand is not None and not is_sandwave:
         raise InputError("target.sand goes with a sandwave only", where=scene.source)
     if target.shape == "mesh":
-        with _named(scene, "target.file"):
+        with _naming_file(scene, "target.file"):
             mesh = load_mesh(Path(target.file or ""), MM_PER_UNIT[target.unit or "mm"])
             if UNREAD in mesh.metadata:
                 raise InputError(
@@ -130,7 +130,7 @@ def _bare_parts(scene: Scene, albedo: float) -> list[MeshPart]:
     return sandwave_parts(rig.workpiece, albedo)
 
 
-def _papered(part: MeshPart, scene: Scene, texture: Texture) -> MeshPart:
+def _with_texture(part: MeshPart, scene: Scene, texture: Texture) -> MeshPart:
     """The part with the texture laid over it, seen along -y where it is a board, else from z."""
     if part.name == MARKS:
         return part
@@ -142,13 +142,13 @@ def _papered(part: MeshPart, scene: Scene, texture: Texture) -> MeshPart:
             value=target.file,
         )
     plane = (0, 2) if target.shape == "board" else (0, 1)
-    with _named(scene, "target.texture.file"):
+    with _naming_file(scene, "target.texture.file"):
         paint = picture_paint(texture, part.mesh.vertices[:, plane])
     return replace(part, paint=paint)
 
 
 @contextmanager
-def _named(scene: Scene, key: str) -> Iterator[None]:
+def _naming_file(scene: Scene, key: str) -> Iterator[None]:
     """Put the scene and the key before an InputError about the file that the key names."""
     try:
         yield

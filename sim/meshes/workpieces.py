@@ -28,7 +28,11 @@ def grooved_block_mesh(block: GroovedBlock) -> trimesh.Trimesh:
 def sandwave_parts(piece: Sandwave, albedo: float) -> list[MeshPart]:
     """The sandwave block in its workpiece frame: wave, curtain to the rim, rim, body, wedges."""
     wave, border = _wave_patch(piece)
-    rest = [_curtain(border), _rim(piece), sandwave_body(piece), *_wedges(piece)]
+    low, high = -piece.rim_mm, piece.side_mm + piece.rim_mm
+    ring = box(low, low, high, high).difference(box(0, 0, piece.side_mm, piece.side_mm))
+    rest = [_curtain(border), plane_mesh(ring, (0, 1)), sandwave_body(piece)]
+    for plan in piece.wedge_plans_mm():
+        rest.append(trimesh.creation.extrude_polygon(Polygon(plan), piece.wedge.height_mm))
     return [
         MeshPart("sandwave", wave, albedo, smooth=True),
         MeshPart("block", trimesh.util.concatenate(rest), albedo),
@@ -59,24 +63,11 @@ def _curtain(border: Floats) -> trimesh.Trimesh:
     return plain_mesh(np.vstack([border, foot]), faces)
 
 
-def _rim(piece: Sandwave) -> trimesh.Trimesh:
-    low, high = -piece.rim_mm, piece.side_mm + piece.rim_mm
-    ring = box(low, low, high, high).difference(box(0, 0, piece.side_mm, piece.side_mm))
-    return plane_mesh(ring, (0, 1))
-
-
 def sandwave_body(piece: Sandwave) -> trimesh.Trimesh:
     """Sides and underside of the sandwave block: a box without its lid."""
     low, high = -piece.rim_mm, piece.side_mm + piece.rim_mm
     body = trimesh.creation.box(bounds=[[low, low, -piece.body_mm], [high, high, 0.0]])
     return body.submesh([body.face_normals[:, 2] < 0.5], append=True)
-
-
-def _wedges(piece: Sandwave) -> list[trimesh.Trimesh]:
-    return [
-        trimesh.creation.extrude_polygon(Polygon(plan), piece.wedge.height_mm)
-        for plan in piece.wedge_plans_mm()
-    ]
 
 
 # A block whose upper side is a draw of a random field, with ripples where they are asked for.

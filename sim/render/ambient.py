@@ -30,8 +30,7 @@ from sim.water import Optics
 
 # Nodes on the triangles of a tank, and between which of them a place lies.
 #
-# A triangle that is larger than the nodes' spacing holds a lattice along two of its sides, in
-# which
+# A triangle that is larger than the nodes' spacing holds a lattice along two of its sides, in which
 # what nodes know is bilinear; a smaller one holds one node.  Triangles that reach far beyond what
 # else stands in the tank, as a floor's, have nodes in a box about that alone.
 
@@ -110,12 +109,12 @@ class NodeLattice:
         self.spacing_mm = spacing_mm
         self._shapes = scene.shapes()
         self._first = np.cumsum([0, *(len(part.mesh.faces) for part in parts)])
-        corners = np.concatenate([_of_faces(part, part.mesh.vertices) for part in parts])
+        corners = np.concatenate([_corner_values(part, part.mesh.vertices) for part in parts])
         normals = np.concatenate([_normals(part) for part in parts])
         normals[_faces_inwards(scene, corners, normals)] *= -1
         start, sides = corners[:, 0], corners[:, 1:] - corners[:, :1]
         duals = _duals(sides)
-        low, span, steps = _laid(start, sides, duals, box_mm, spacing_mm)
+        low, span, steps = _lay_lattices(start, sides, duals, box_mm, spacing_mm)
         part = np.repeat(np.arange(len(parts)), np.diff(self._first))
         self.nodes = _nodes(start, sides, normals, part, low, span, steps)
         begins = np.cumsum([0, *np.prod(steps + 1, axis=1)])[:-1]
@@ -175,7 +174,7 @@ class _LatticeAxis:
         return (before, dr.minimum(before + 1, steps)), along - mi.Float(before), steps
 
 
-def _of_faces(part: MeshPart, values: Floats) -> Floats:
+def _corner_values(part: MeshPart, values: Floats) -> Floats:
     """(T, 3, 3) what vertices have, of the corners of each face."""
     return np.asarray(np.asarray(values)[part.mesh.faces], dtype=float)
 
@@ -183,8 +182,8 @@ def _of_faces(part: MeshPart, values: Floats) -> Floats:
 def _normals(part: MeshPart) -> Floats:
     """(T, 3, 3) of the corners of each face, as it is shaded."""
     if part.smooth:
-        return _of_faces(part, part.mesh.vertex_normals)
-    corners = _of_faces(part, part.mesh.vertices)
+        return _corner_values(part, part.mesh.vertex_normals)
+    corners = _corner_values(part, part.mesh.vertices)
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.repeat(normal[:, np.newaxis], 3, axis=1)
 
@@ -214,7 +213,7 @@ def _duals(sides: Floats) -> Floats:
     return np.stack([np.cross(sides[:, 1], across), np.cross(across, sides[:, 0])], axis=1)
 
 
-def _laid(
+def _lay_lattices(
     start: Floats, sides: Floats, duals: Floats, box_mm: Floats, spacing_mm: float
 ) -> tuple[Floats, Floats, Ints]:
     """(T, 2) where lattices begin along both sides, how far they go, in how many steps."""
@@ -427,7 +426,7 @@ def sky_of(scene: mi.Scene, parts: Sequence[MeshPart], water: Optics) -> Ambient
     if name not in _KEPT:
         while len(_KEPT) >= MOST_KEPT:
             del _KEPT[next(iter(_KEPT))]
-        _KEPT[name] = _arriving(scene, lattice, water)
+        _KEPT[name] = _node_light(scene, lattice, water)
     straight, indirect = _KEPT[name]
     return AmbientField(lattice, floats(straight), floats(indirect))
 
@@ -446,7 +445,7 @@ def _name(nodes: SurfaceNodes, parts: Sequence[MeshPart], water: Optics) -> str:
     return told.hexdigest()
 
 
-def _arriving(
+def _node_light(
     scene: mi.Scene, lattice: NodeLattice, water: Optics
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Straight and indirect light at the nodes."""
@@ -501,16 +500,16 @@ def _samples(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> AmbientSam
     found: list[AmbientSamples] = []
     for cell_mm in cells_mm:
         chosen = one_a_cell(nodes, wanted, cell_mm)
-        found.append(traced_all(scene, lattice, water, chosen))
+        found.append(trace_all(scene, lattice, water, chosen))
         candidates = np.setdiff1d(candidates, chosen)
         index, sky = (np.concatenate([getattr(s, k) for s in found]) for k in ("index", "open"))
         wanted = candidates[Interpolation(nodes, index, candidates).residual(sky) > UNEVEN]
         if not wanted.size:
             break
-    return joined(found)
+    return join_samples(found)
 
 
-def joined(some: Sequence[AmbientSamples]) -> AmbientSamples:
+def join_samples(some: Sequence[AmbientSamples]) -> AmbientSamples:
     """All samples together.
 
     Parameters
@@ -530,7 +529,7 @@ def one_a_cell(nodes: SurfaceNodes, index: Ints, cell_mm: float) -> Ints:
     return index[first]
 
 
-def traced_all(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -> AmbientSamples:
+def trace_all(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -> AmbientSamples:
     """What directions from nodes meet, of those nodes that are not within bodies.
 
     Parameters
@@ -539,11 +538,11 @@ def traced_all(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints
     index : array, of the nodes, one at least
     """
     batches = np.array_split(index, -(-len(index) * DIRECTIONS // BATCH))
-    samples = joined([_traced(scene, lattice, water, part) for part in batches])
+    samples = join_samples([_trace(scene, lattice, water, part) for part in batches])
     return select(samples, samples.open > 0)
 
 
-def _traced(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -> AmbientSamples:
+def _trace(scene: mi.Scene, lattice: NodeLattice, water: Optics, index: Ints) -> AmbientSamples:
     """What directions from nodes meet."""
     shape = len(index), DIRECTIONS
     sample, number = np.divmod(np.arange(shape[0] * shape[1], dtype=np.uint32), shape[1])

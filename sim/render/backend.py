@@ -38,8 +38,7 @@ from lscan.files.disk import MOST_TEXT_BYTES, cache_folder, read_cached, write_a
 
 # Numbers below 1e-38 taken for 0, as Dr.Jit's own threads do, in the thread that calls too.
 #
-# The calling thread keeps them, and with one thread Dr.Jit has no others: light that is read as
-# the
+# The calling thread keeps them, and with one thread Dr.Jit has no others: light that is read as the
 # ratio of two faint numbers would differ with the number of threads, by up to 0.3 %.
 
 
@@ -95,10 +94,10 @@ def install_first(packages: Sequence[str]) -> None:
         apt-get, the right to use it, or such a package is missing.
     """
     admin = _as_root()
-    package = _offered(packages)
+    package = _offered_package(packages)
     if package is None:
         _apt_get(admin, "update")
-        package = _offered(packages)
+        package = _offered_package(packages)
     if package is None:
         raise PackageError(f"apt-get offers none of {', '.join(packages)}")
     if not _apt_get(admin, "install", "-y", "--no-install-recommends", package):
@@ -143,7 +142,7 @@ def _as_root() -> list[str]:
     raise PackageError("installing it takes root or a sudo that asks for no password")
 
 
-def _offered(packages: Sequence[str]) -> str | None:
+def _offered_package(packages: Sequence[str]) -> str | None:
     return next((name for name in packages if _succeeds("apt-cache", "show", name)), None)
 
 
@@ -302,7 +301,7 @@ def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = No
     if candidates is None and (named := os.environ.get("DRJIT_LIBLLVM_PATH")):
         return _named_llvm(named, probe)
     faults = []
-    for library in newest_first(_installed() if candidates is None else candidates):
+    for library in newest_first(_installed_libraries() if candidates is None else candidates):
         if library.major is not None and library.major < OLDEST_MAJOR:
             faults.append(f"{library.path.name}: too old, Dr.Jit needs {OLDEST_MAJOR} or newer")
             continue
@@ -349,7 +348,7 @@ def newest_first(paths: Iterable[Path]) -> list[Library]:
     return sorted(libraries, key=lambda found: (-(found.major or 0), str(found.path)))
 
 
-def _installed() -> list[Path]:
+def _installed_libraries() -> list[Path]:
     """Every file named like a libLLVM that the dynamic linker or the usual folders hold."""
     paths = []
     ldconfig = shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")

@@ -294,15 +294,11 @@ def survey(
     states = np.array(state).astype(np.uint8).reshape(shape)
     inner = np.s_[1:-1, 1:-1]
     light = np.ascontiguousarray(np.array(veil).reshape(shape)[inner])
-    bent = _bent(np.array(distance).reshape(shape), rays.pixel_rad)[inner]
+    # Bent: no part of a plane with the four pixels beside it.
+    far = np.minimum(np.array(distance).reshape(shape), np.float32(FARTHEST_MM))
+    curved = cv2.Laplacian(far, cv2.CV_32F, borderType=cv2.BORDER_REFLECT)
+    bent = (np.abs(curved) > BENT * rays.pixel_rad * far)[inner]
     return PixelSurvey(light, np.flatnonzero(_uneven(states)[inner]), bent, hit)
-
-
-def _bent(distance: NDArray[np.float32], pixel_rad: float) -> Mask:
-    """(H, W) the pixels that are no part of a plane with the four beside them."""
-    distance = np.minimum(distance, np.float32(FARTHEST_MM))
-    curved = cv2.Laplacian(distance, cv2.CV_32F, borderType=cv2.BORDER_REFLECT)
-    return np.asarray(np.abs(curved) > BENT * pixel_rad * distance)
 
 
 def _uneven(states: NDArray[np.uint8]) -> Mask:

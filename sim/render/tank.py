@@ -384,7 +384,7 @@ class Tank:
                 self.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
             )
         except RuntimeError as error:
-            if _interrupted(error):
+            if _is_interrupt(error):
                 raise KeyboardInterrupt from error
             raise
         image, names = np.array(image), integrator.layers
@@ -453,7 +453,7 @@ def _camera_of(head: Head) -> tuple[object, ...]:
     return head.camera_mm, head.depression_deg, head.heading_deg, head.roll_deg
 
 
-def _interrupted(error: BaseException | None) -> bool:
+def _is_interrupt(error: BaseException | None) -> bool:
     """Whether Ctrl-C is behind an error: Mitsuba wraps what is raised while a plugin runs."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):

@@ -57,7 +57,7 @@ class Render(Strict):
 
     @model_validator(mode="after")
     def _square(self) -> Self:
-        if not _shared_out(self.samples, self.fineness):
+        if not _is_square_of(self.samples, self.fineness):
             raise ValueError(f"samples must be {_allowed(self.fineness)}")
         return self
 
@@ -76,12 +76,12 @@ def check_samples(samples: int, fineness: int, where: str) -> None:
     InputError
         The samples are no such number; names those that are close to it.
     """
-    if samples < 1 or not _shared_out(samples, fineness):
+    if samples < 1 or not _is_square_of(samples, fineness):
         what = "not a square number" + (" in each part of a pixel" if fineness > 1 else "")
         raise InputError(what, where=where, value=samples, allowed=_allowed(fineness))
 
 
-def _shared_out(samples: int, fineness: int) -> bool:
+def _is_square_of(samples: int, fineness: int) -> bool:
     side = isqrt(samples)
     return side**2 == samples and side % fineness == 0
 
@@ -223,7 +223,7 @@ def scene_of(rig_file: RigFile) -> Scene:
     head = _on_its_shaft(tank.head, rig_file)
     scene = Scene(
         rig=rig_file.rig,
-        tank=tank.model_copy(update={"head": head, "sensor": _at_its_wavelength(tank)}),
+        tank=tank.model_copy(update={"head": head, "sensor": _sensor_at_wavelength(tank)}),
         document=rig_file.document,
         source=rig_file.source,
     )
@@ -257,7 +257,7 @@ def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
     return head.model_copy(update={"shaft": true})
 
 
-def _at_its_wavelength(tank: TankSections) -> Sensor:
+def _sensor_at_wavelength(tank: TankSections) -> Sensor:
     """The sensor, with a webcam's response to the laser's wavelength where the file states none."""
     if "laser_response" in tank.sensor.model_fields_set:
         return tank.sensor

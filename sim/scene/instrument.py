@@ -370,7 +370,10 @@ def is_folded(lens: Lens, width_px: int, height_px: int) -> bool:
     lens : Lens, whose distortion is meant
     width_px, height_px : int, px, of the picture
     """
-    border = _border(lens, width_px, height_px)
+    u = np.linspace(-0.5, width_px - 0.5, ALONG_BORDER)
+    v = np.linspace(-0.5, height_px - 0.5, ALONG_BORDER)
+    sides = np.concatenate([u + 1j * v[0], u + 1j * v[-1], u[0] + 1j * v, u[-1] + 1j * v])
+    border = np.asarray((sides - complex(*lens.centre_px)) / lens.focal_px)  # distorted tangents
     found = np.zeros_like(border)
     with np.errstate(all="ignore"):  # beyond a fold Newton's method goes anywhere, or to NaN
         for part in np.arange(1, STEPS + 1) / STEPS:
@@ -379,19 +382,11 @@ def is_folded(lens: Lens, width_px: int, height_px: int) -> bool:
                 found = found - (step := _newton_step(lens, found, part * border))
                 if not (np.abs(step) * lens.focal_px > FOUND_PX).any():
                     break  # most lenses settle in a few
-            off_px = np.abs(_distorted(lens, found) - part * border) * lens.focal_px
+            off_px = np.abs(_distort(lens, found) - part * border) * lens.focal_px
             least = _least_growth(lens, before + BETWEEN * (found - before))
             if not (np.all(off_px < FOUND_PX) and np.all(least > 0)):
                 return True
     return False
-
-
-def _border(lens: Lens, width_px: int, height_px: int) -> Complexes:
-    """(N,) distorted tangents of the picture's edge."""
-    u = np.linspace(-0.5, width_px - 0.5, ALONG_BORDER)
-    v = np.linspace(-0.5, height_px - 0.5, ALONG_BORDER)
-    sides = [u + 1j * v[0], u + 1j * v[-1], u[0] + 1j * v, u[-1] + 1j * v]
-    return np.asarray((np.concatenate(sides) - complex(*lens.centre_px)) / lens.focal_px)
 
 
 def _terms(lens: Lens, z: Complexes) -> tuple[Floats, Floats, Floats, complex]:
@@ -401,7 +396,7 @@ def _terms(lens: Lens, z: Complexes) -> tuple[Floats, Floats, Floats, complex]:
     return q, radial, lens.k1 + q * (2 * lens.k2 + q * 3 * lens.k3), complex(lens.p2, lens.p1)
 
 
-def _distorted(lens: Lens, z: Complexes) -> Complexes:
+def _distort(lens: Lens, z: Complexes) -> Complexes:
     q, radial, _, decentring = _terms(lens, z)
     return z * radial + decentring.conjugate() * z**2 + 2 * decentring * q
 
@@ -416,7 +411,7 @@ def _derivatives(lens: Lens, z: Complexes) -> tuple[Floats, Complexes]:
 def _newton_step(lens: Lens, z: Complexes, distorted: Complexes) -> Complexes:
     """By how much z is too large, to first order."""
     by_z, by_conjugate = _derivatives(lens, z)
-    off = _distorted(lens, z) - distorted
+    off = _distort(lens, z) - distorted
     return (by_z * off - by_conjugate * off.conj()) / (by_z**2 - np.abs(by_conjugate) ** 2)
 
 

@@ -133,7 +133,7 @@ def speckle_contrast(
     return sqrt(mean / 2 if light == "depolarised" else mean)
 
 
-def speckled(
+def add_speckle(
     light: NDArray[np.float32], contrast: float, generator: np.random.Generator
 ) -> NDArray[np.float32]:
     """The light of surfaces as the pixels see it, one pattern over it; the same shape and unit."""

@@ -32,10 +32,10 @@ from sim.sensor.noise import (
 )
 from sim.sensor.radiometry import (
     AMBIENT_NM,
+    add_speckle,
     photons_per_radiance,
     speckle_contrast,
     speckle_pattern,
-    speckled,
     vignetting,
 )
 
@@ -164,7 +164,7 @@ class Webcam:
         contrast = self._contrast(nm)
         if contrast:
             # A new pattern for each picture: the head moves between them.
-            laser = speckled(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
+            laser = add_speckle(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
             laser += self._photons(layers.scattered, exposure_ms, nm)
         else:
             laser = self._photons(layers.laser, exposure_ms, nm)
@@ -218,7 +218,7 @@ class Webcam:
         photons = self._photons(layers.direct, exposure_ms, nm) if contrast else 0 * other
         lit = np.flatnonzero((photons > 0).any(axis=1))
         first, end = (int(lit[0]), int(lit[-1]) + 1) if lit.size else (0, 0)
-        seen = self._on_pixels(_coloured(photons, sensor.laser_response))
+        seen = self._on_pixels(_colour_electrons(photons, sensor.laser_response))
         direct = np.ascontiguousarray((seen * pattern.sensitivity)[first:end])
         return StillView(sensor, pattern, self._filter, steady, direct, first, contrast)
 
@@ -267,10 +267,10 @@ class Webcam:
 
     def _electrons(self, laser: Picture, layers: Layers, exposure_ms: float) -> Electrons:
         """(H, W, 3) electrons of the laser's photons and of the ambient light."""
-        electrons = _coloured(laser, self.sensor.laser_response)
+        electrons = _colour_electrons(laser, self.sensor.laser_response)
         if layers.ambient.any():
             ambient = self._photons(layers.ambient, exposure_ms, AMBIENT_NM)
-            electrons += _coloured(ambient, self.sensor.ambient_response)
+            electrons += _colour_electrons(ambient, self.sensor.ambient_response)
         return electrons
 
     def _on_pixels(self, electrons: Electrons) -> Electrons:
@@ -298,7 +298,7 @@ class Webcam:
         return speckle_contrast(self.sensor.pixel_um, self.lens.f_number, laser_nm, light)
 
 
-def _coloured(photons: Picture, response: Response) -> Electrons:
+def _colour_electrons(photons: Picture, response: Response) -> Electrons:
     """(H, W, 3) electrons, RGB, of (H, W) photons."""
     shares = response.red, response.green, response.blue
     planes = cv2.merge([photons * np.float32(share) for share in shares])

@@ -62,7 +62,7 @@ class BoardTruth:
     @cached_property
     def centres(self) -> BoardReading:
         """The marks' true centres projected, in px, from which a plane map should be solved."""
-        return self._reading(lambda places, _, shift: self._imaged(places, shift))
+        return self._reading(lambda places, _, shift: self._project(places, shift))
 
     @cached_property
     def centroids(self) -> BoardReading:
@@ -92,7 +92,7 @@ class BoardTruth:
             for d, shift in zip(board.dot, by_dot, strict=True)
         }
         rings = {
-            r.name: marks(_on_ring(r), r.width_mm, shift)
+            r.name: marks(_ring_places(r), r.width_mm, shift)
             for r, shift in zip(board.ring, by_ring, strict=True)
         }
         return BoardReading(
@@ -130,9 +130,9 @@ class BoardTruth:
         places = [board.grid.points_mm(), *(ruler.points_mm() for ruler in board.ruler)]
         shifts = self.scene.true_board().shifts_mm()[: len(places)]
         shifts = [np.broadcast_to(shift, p.shape) for shift, p in zip(shifts, places, strict=True)]
-        return self._imaged(np.concatenate(places), np.concatenate(shifts))
+        return self._project(np.concatenate(places), np.concatenate(shifts))
 
-    def _imaged(self, places: Floats, shift: Floats) -> Floats:
+    def _project(self, places: Floats, shift: Floats) -> Floats:
         """(N, 2) px of (N, 2) places on the board."""
         return project(self.scene, self._in_head(places, shift)[0])
 
@@ -140,7 +140,7 @@ class BoardTruth:
         """(N, 2) px of the centroids of the pictures of discs at (N, 2) places on the board."""
         outline = (places[:, np.newaxis] + _circle(RIM_POINTS, diameter_mm)).reshape(-1, 2)
         shifts = np.repeat(np.broadcast_to(shift, places.shape), RIM_POINTS, axis=0)
-        return area_centroids(self._imaged(outline, shifts).reshape(-1, RIM_POINTS, 2))
+        return area_centroids(self._project(outline, shifts).reshape(-1, RIM_POINTS, 2))
 
     def _in_head(self, places: Floats, shift: Floats) -> tuple[Floats, Floats]:
         """(N, 3) places in the head frame, mm, and (N,) the track positions then, mm.
@@ -192,7 +192,7 @@ def _single(marks: Marks) -> Mark:
     return Mark(marks.image_px[0], float(marks.sigma_px[0]), Status(int(marks.status[0])))
 
 
-def _on_ring(ring: Ring) -> Floats:
+def _ring_places(ring: Ring) -> Floats:
     """(RING_POINTS, 2) places on the ring's centre line, counter-clockwise from the right."""
     return np.array([ring.x_mm, ring.z_mm]) + _circle(RING_POINTS, ring.diameter_mm)
 

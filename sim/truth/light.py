@@ -73,7 +73,7 @@ class Reflectance:
 
     def albedo_at(self, face: Ints, places: Floats) -> Floats:
         """(N,) albedo at (N, 3) places of the world; a board's marks are taken for its ground."""
-        floor = self._on_floor(face)
+        floor = self._is_on_floor(face)
         albedo = np.full(len(face), self.albedo)
         if self.paint is not None:
             albedo[~floor] *= self._level(places[~floor])
@@ -101,10 +101,10 @@ class Reflectance:
                 between = np.einsum("ij,ij->i", half, line.to_laser)
                 ratio = target.coat_index / index
                 finished = fresnel(between, ratio) * glint + coated(albedo, *cosines, ratio)
-            light = np.where(self._on_floor(line.face), light, finished)
+            light = np.where(self._is_on_floor(line.face), light, finished)
         return np.where(to_laser * to_camera > 0, light, 0.0)
 
-    def _on_floor(self, face: Ints) -> Mask:
+    def _is_on_floor(self, face: Ints) -> Mask:
         """(N,) whether a face is the floor: it comes after all of the target's."""
         if self.scene.tank.floor is None:
             return np.zeros(len(face), dtype=bool)
@@ -155,11 +155,11 @@ def facets(to_laser: Floats, to_camera: Floats, tilt: Floats, roughness: float) 
     """
     steep = (1 - tilt**2) / tilt**2 / roughness**2
     density = np.exp(-steep) / (np.pi * roughness**2 * tilt**4)
-    free = _unshaded(to_laser, roughness) * _unshaded(to_camera, roughness)
+    free = _smith_g1(to_laser, roughness) * _smith_g1(to_camera, roughness)
     return density * free / (4 * np.maximum(to_camera, np.finfo(float).tiny))
 
 
-def _unshaded(cosine: Floats, roughness: float) -> Floats:
+def _smith_g1(cosine: Floats, roughness: float) -> Floats:
     """(N,) share of the facets that nothing shades, seen under a cosine: Smith's G1."""
     level = np.sqrt(np.maximum(1 - cosine**2, 1e-30))
     a = np.minimum(cosine / (roughness * level), 1e6)

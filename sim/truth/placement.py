@@ -90,7 +90,8 @@ def gaps_of(mesh: trimesh.Trimesh) -> list[str]:
 def out_of_reach(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
     """One note where the line does not fall on the target in the plan's pictures, else none."""
     reasons = [
-        _missed(scene, mesh, sheet_of(scene, line)) for line in range(len(scene.tank.laser.sheets))
+        _why_missed(scene, mesh, sheet_of(scene, line))
+        for line in range(len(scene.tank.laser.sheets))
     ]
     if None in reasons:
         return []
@@ -121,7 +122,7 @@ def lit_ends(scene: Scene, mesh: trimesh.Trimesh) -> list[str]:
     return notes[:1]
 
 
-def _missed(scene: Scene, mesh: trimesh.Trimesh, sheet: TrueSheet) -> str | None:
+def _why_missed(scene: Scene, mesh: trimesh.Trimesh, sheet: TrueSheet) -> str | None:
     """Why a sheet's line is not seen on the target; None where it is."""
     places = np.array(scene.rig.plan.positions_mm())
     head = scene.tank.head
@@ -136,7 +137,7 @@ def _missed(scene: Scene, mesh: trimesh.Trimesh, sheet: TrueSheet) -> str | None
         if len(places) == 0:
             return f"{reached}, {spanned}"
     found = set()
-    for place in _spread(places):
+    for place in _spread_places(places):
         plane = head_pose(head, float(place)) @ sheet.pose
         fault = _fault(scene, sheet, section_at([Mesh(mesh)], plane, sheet.bow), float(place))
         if fault is None:
@@ -171,7 +172,7 @@ def _check_outside(scene: Scene, mesh: trimesh.Trimesh) -> None:
         "head.camera_mm": ("the camera", head.camera_mm, _camera_points(scene)),
         "laser.apex_mm": ("the laser", laser.apex_mm, np.array([laser.apex_mm])),
     }
-    places = _spread(np.array(scene.rig.plan.positions_mm()))
+    places = _spread_places(np.array(scene.rig.plan.positions_mm()))
     for key, (what, value, points) in stated.items():
         for place in places.tolist():
             there = into_world(head, points, place)
@@ -221,7 +222,7 @@ def inside(mesh: trimesh.Trimesh, point: Floats) -> bool:
     return bool(abs(winding) > INSIDE)
 
 
-def _spread(places: Floats) -> Floats:
+def _spread_places(places: Floats) -> Floats:
     """Up to MOST_PLACES of (N,) places, evenly spread, both ends among them."""
     index = np.linspace(0, len(places) - 1, min(len(places), MOST_PLACES))
     return places[np.unique(np.rint(index).astype(int))]

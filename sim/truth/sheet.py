@@ -112,7 +112,7 @@ def bowed_pieces(vertices: Floats, faces: Ints, bow: Bow) -> Floats:
         small.append(corners[short])
         corners = quarter(corners[~short])
         corners = corners[_near(corners, bow.clearance_mm(corners))]
-    return _cut(np.concatenate([np.empty((0, 3, 3)), *small]), bow)
+    return _section_pieces(np.concatenate([np.empty((0, 3, 3)), *small]), bow)
 
 
 def quarter(corners: Floats) -> Floats:
@@ -132,7 +132,7 @@ def _longest(corners: Floats) -> Floats:
     return np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
 
 
-def _cut(corners: Floats, bow: Bow) -> Floats:
+def _section_pieces(corners: Floats, bow: Bow) -> Floats:
     """(M, 2, 3) where triangles with corners on both sides of the sheet cross it."""
     away = bow.clearance_mm(corners)
     following, beyond = np.roll(corners, -1, axis=1), np.roll(away, -1, axis=1)

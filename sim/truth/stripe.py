@@ -108,7 +108,7 @@ def standing_truth(
         return _fill(count, column, values[best], missing)
 
     status = entries(np.where(good, Status.OK, Status.OCCLUDED), Status.NO_PEAK)
-    continues = continued(found, best, status)
+    continues = is_continued(found, best, status)
     x, y, z = (entries(coordinate, np.nan) for coordinate in points.T)
     return StripeTruth(
         position_mm=position_mm,
@@ -131,7 +131,7 @@ def crossings(scene: Scene, sheet: TrueSheet, section: TargetSection) -> ColumnC
     """Where the section, projected, crosses the middles of the picture's columns (or rows)."""
     axis, count = _columns(scene)
     a, b = (0, 1) if axis == "columns" else (1, 0)
-    fine = split(_in_view(scene, sheet, split(section, COARSE_MM)), FINE_MM)
+    fine = split(_pieces_in_view(scene, sheet, split(section, COARSE_MM)), FINE_MM)
     pixels = _project_ends(scene, sheet, fine)
     whole = np.all(np.isfinite(pixels), axis=(1, 2))
     pixels, fine = pixels[whole], fine.only(whole)
@@ -157,7 +157,7 @@ def _columns(scene: Scene) -> tuple[Axis, int]:
     return axis, camera.width_px if axis == "columns" else camera.height_px
 
 
-def _in_view(scene: Scene, sheet: TrueSheet, section: TargetSection) -> TargetSection:
+def _pieces_in_view(scene: Scene, sheet: TrueSheet, section: TargetSection) -> TargetSection:
     """The pieces that may show in the picture."""
     size = np.array(scene.rig.camera.size_px)
     pixels = _project_ends(scene, sheet, section)
@@ -176,7 +176,7 @@ def _project_ends(scene: Scene, sheet: TrueSheet, section: TargetSection) -> Flo
     return found
 
 
-def continued(found: ColumnCrossings, best: Ints, status: Ints) -> Mask:
+def is_continued(found: ColumnCrossings, best: Ints, status: Ints) -> Mask:
     """(N,) as in StripeTruth; best: the crossing that each column of ``found`` takes.
 
     Between two columns a smooth line that bends one way climbs by no less than the one of its
@@ -303,7 +303,7 @@ def _moving_truth(
     travel = abs(travel_mm(scene)) * (high - low) / height
     steps = min(int(np.ceil(travel / STEP_MM)), MOST_STEPS)
     rows = np.linspace(low, high, max(steps, 1) + 1)
-    return replace(_joined(at(rows), rows), position_mm=position_mm)
+    return replace(_join_rows(at(rows), rows), position_mm=position_mm)
 
 
 def _rows_of(truths: Sequence[StripeTruth], height: int) -> tuple[float, float]:
@@ -323,7 +323,7 @@ def _rows_of(truths: Sequence[StripeTruth], height: int) -> tuple[float, float]:
     return max(low, -0.5), min(high, height - 0.5)
 
 
-def _joined(truths: Sequence[StripeTruth], rows: Floats) -> StripeTruth:
+def _join_rows(truths: Sequence[StripeTruth], rows: Floats) -> StripeTruth:
     """The columns as they are in the rows they are seen in; truths: one for each of ``rows``.
 
     A column whose line is never where the shutter is shows none.

@@ -113,10 +113,10 @@ def bowed_section(corners: Floats, bow: Bow) -> Floats:
     rectangle = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
     halves = np.array([[0, 1, 2], [0, 2, 3]])
     pieces = (bowed_pieces(origin + rectangle @ plane, halves, bow) - origin) @ plane.T
-    return (origin + clipped(pieces, outline) @ plane)[..., [0, 2]]
+    return (origin + clip(pieces, outline) @ plane)[..., [0, 2]]
 
 
-def clipped(pieces: Floats, outline: Floats) -> Floats:
+def clip(pieces: Floats, outline: Floats) -> Floats:
     """(L, 2, 2) the parts of straight pieces (M, 2, 2) inside a (K, 2) polygon."""
     parts = shapely.get_parts(shapely.intersection(shapely.linestrings(pieces), area(outline)))
     lines = parts[shapely.get_type_id(parts) == shapely.GeometryType.LINESTRING]
@@ -297,12 +297,12 @@ class PlanGrid:
         low, high = np.minimum(start, start + piece), np.maximum(start, start + piece)
         box, cell = self._under(low - ROUNDING_MM, high + ROUNDING_MM)
         level = (low[box, 2] <= self._top[cell]) & (high[box, 2] >= self._bottom[cell])
-        box, triangle = self._in_cells(box[level], cell[level])
+        box, triangle = self._pairs_in_cells(box[level], cell[level])
         return line[box], triangle
 
     def around(self, places: Floats) -> tuple[Ints, Ints]:
         """Pairs (place, triangle) of (N, 3) places and all triangles of the cells they lie in."""
-        return self._in_cells(*self._under(places - ROUNDING_MM, places + ROUNDING_MM))
+        return self._pairs_in_cells(*self._under(places - ROUNDING_MM, places + ROUNDING_MM))
 
     def _under(self, low: Floats, high: Floats) -> tuple[Ints, Ints]:
         """Pairs (box, cell) that touch, for N upright boxes given by two corners, (N, 3)."""
@@ -313,7 +313,7 @@ class PlanGrid:
         column = first[box, 0] + step // deep[box]
         return box, column * self._shape[1] + first[box, 1] + step % deep[box]
 
-    def _in_cells(self, owner: Ints, cell: Ints) -> tuple[Ints, Ints]:
+    def _pairs_in_cells(self, owner: Ints, cell: Ints) -> tuple[Ints, Ints]:
         """Pairs (owner, triangle) for pairs (owner, cell)."""
         pair, entry = spread(self._first[cell + 1] - self._first[cell])
         return owner[pair], self._triangle[self._first[cell[pair]] + entry]

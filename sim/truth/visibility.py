@@ -30,7 +30,7 @@ from sim.truth.surfaces import SELF_MM, TankSurface, cross, spread
 ALIGNED = TrueSheet(Pose(np.eye(3), np.zeros(3)), bow=None)
 
 
-def blocked(surfaces: Sequence[TankSurface], start: Floats, end: Floats) -> Mask:
+def is_blocked(surfaces: Sequence[TankSurface], start: Floats, end: Floats) -> Mask:
     """(N,) whether anything comes between (N, 3) starts and ends; world frame, mm."""
     hidden = np.zeros(len(start), dtype=bool)
     for surface in surfaces:
@@ -99,7 +99,7 @@ def seen(
     start = into_world(scene.tank.head, entry, position_mm)
     end = into_world(scene.tank.head, points_head, position_mm)
     free: Mask = np.all(np.isfinite(entry), axis=1)
-    free[free] = ~blocked(surfaces, start[free], end[free])
+    free[free] = ~is_blocked(surfaces, start[free], end[free])
     return free
 
 
@@ -150,7 +150,7 @@ def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
     apex = np.broadcast_to(np.array(tank.laser.apex_mm), head.shape)
     start = into_world(tank.head, apex, position)
     surfaces = surfaces_of(scene)
-    shone = in_fan(tank.laser, sheet.flattened(head)) & ~blocked(surfaces, start, world)
+    shone = in_fan(tank.laser, sheet.flattened(head)) & ~is_blocked(surfaces, start, world)
     shone &= in_picture(scene, project(scene, head)) & seen(scene, surfaces, head, position)
     visible = np.zeros(len(points), dtype=bool)
     visible[passed] = shone

@@ -19,9 +19,8 @@ from sim.scene.matter import Water
 DEPOLARISATION = 0.039  # of water's molecules: Zhang, Hu & He 2009
 
 # Four Henyey-Greenstein lobes fitted to Petzold's average particle (docs/explanation/physics.md,
-# section 3):
-# within .91 to 1.13 of his table from 0.1 to 180 degrees.  One lobe fails in backscatter,
-# where many rigs look.
+# section 3): within .91 to 1.13 of his table from 0.1 to 180 degrees.  One lobe fails in
+# backscatter, where many rigs look.
 PARTICLE_WEIGHTS = (0.11984, 0.37028, 0.50780, 0.00208)
 PARTICLE_G = (0.99723, 0.98081, 0.87094, -0.59262)
 WEIGHTS_ADD_UP_WITHIN = 1e-9
@@ -175,7 +174,7 @@ class FournierForand:
         sin2 = np.sin(angle / 2) ** 2
         delta = self._delta(sin2)
         near = np.abs(delta - 1) < SERIES_WITHIN
-        core = np.where(near, self._series(delta, sin2), self._closed(delta, sin2))
+        core = np.where(near, self._series(delta, sin2), self._closed_form(delta, sin2))
         wide = self._backward() * (3 * np.cos(angle) ** 2 - 1) / (16 * np.pi)
         return core / (4 * np.pi * delta**self.nu) + wide
 
@@ -191,7 +190,7 @@ class FournierForand:
         delta = self._delta(np.array(1.0))
         return -np.expm1(self.nu * np.log(delta)) / (delta - 1) / delta**self.nu
 
-    def _closed(self, delta: Floats, sin2: Floats) -> Floats:
+    def _closed_form(self, delta: Floats, sin2: Floats) -> Floats:
         """The first part of p times 4 pi delta^nu, away from delta = 1."""
         less = 1 - delta
         drop = -np.expm1(self.nu * np.log(delta))  # 1 - delta^nu

@@ -138,12 +138,6 @@ def _splines(angles: Floats) -> Floats:
     return np.asarray(BSpline.design_matrix(place, knots, 3).toarray())
 
 
-def _prior(size: int) -> Floats:
-    """(M, M) inverse covariance of the coefficients a priori."""
-    second = np.diff(np.eye(size), 2, axis=0) / CURVATURE
-    return np.asarray(second.T @ second + RIDGE * np.eye(size))
-
-
 def _poisson(basis: Floats, counts: Floats, exposure: Floats) -> tuple[Floats, Floats]:
     """Coefficients of the logarithm of counts per exposure, and their covariance."""
     mean = counts + 0.5
@@ -165,7 +159,10 @@ def _least_squares(basis: Floats, values: Floats, weights: Floats) -> tuple[Floa
 def _solve(basis: Floats, values: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """Coefficients by penalised least squares, and the inverse of their normal matrix."""
     weighted = weights[:, np.newaxis] * basis
-    normal = basis.T @ weighted + _prior(basis.shape[1])
+    size = basis.shape[1]
+    second = np.diff(np.eye(size), 2, axis=0) / CURVATURE
+    # With the inverse covariance of the coefficients a priori.
+    normal = basis.T @ weighted + (second.T @ second + RIDGE * np.eye(size))
     covariance = np.asarray(np.linalg.inv(normal), dtype=float)
     return covariance @ (weighted.T @ values), covariance
 

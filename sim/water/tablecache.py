@@ -43,10 +43,10 @@ def kept_arrays(name: str, make: Callable[[], dict[str, Floats]]) -> dict[str, F
         _log.warning("a table will have to be made again: there is no cache of this user's own")
         return make()
     file = cache / name
-    arrays = _read(file)
+    arrays = _read_table(file)
     if arrays is None:
         with _alone(file):
-            arrays = _read(file) or _make_and_keep(file, make)
+            arrays = _read_table(file) or _make_and_keep(file, make)
     return arrays
 
 
@@ -88,7 +88,7 @@ def remove_oldest(folder: Path) -> None:
         total -= size
 
 
-def _read(file: Path) -> dict[str, Floats] | None:
+def _read_table(file: Path) -> dict[str, Floats] | None:
     """The arrays of a kept file; None where there is none or it is broken."""
     data = read_cached(file, LARGEST_BYTES) or b""
     digest, packed = data[:DIGEST_BYTES], data[DIGEST_BYTES:]

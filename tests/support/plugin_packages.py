@@ -19,5 +19,5 @@ def install_package(
     (info / "top_level.txt").write_text(f"{name}\n")
     (folder / f"{name}.py").write_text(code)
     monkeypatch.syspath_prepend(str(folder))
-    for known in (plugins._registered, plugins._packages):
+    for known in (plugins._entry_points, plugins._packages):
         monkeypatch.setattr(plugins, known.__name__, cache(known.__wrapped__))

@@ -28,8 +28,8 @@ from lscan.devices.grbl.machine import (
     Restarted,
     SerialTrackOptions,
     Unanswered,
-    agreed,
-    asked,
+    agreed_reading,
+    ask_again,
 )
 from lscan.errors import DeviceError
 
@@ -153,7 +153,7 @@ class GrblMachine:
 
     def position_mm(self) -> float:
         """The axis's machine position at rest, two reports alike, of a controller still marked."""
-        position_mm = agreed(self._resting_mm, "position", self._link.name)
+        position_mm = agreed_reading(self._resting_mm, "position", self._link.name)
         if self._feed() != self._mark:
             raise self._dialogue.restarted()
         return position_mm
@@ -217,7 +217,7 @@ class GrblMachine:
 
     def _feed(self) -> float:
         """F as ``$G`` reports it, in the controller's unit; 0 after a start."""
-        modes = agreed(self._dialogue.modes, "modes ($G)", self._link.name)
+        modes = agreed_reading(self._dialogue.modes, "modes ($G)", self._link.name)
         feeds = [float(word[1:]) for word in modes if re.fullmatch(r"F\d+\.?\d*", word)]
         return feeds[0] if feeds else 0.0
 
@@ -239,7 +239,7 @@ class GrblMachine:
                 )
             return feed
 
-        self._mark = asked(mark)
+        self._mark = ask_again(mark)
         self._zero = f"F{self._mark:.10g}" + ("" if has_mark else f" {secrets.token_hex(4)}")
 
     def _await_banner(self) -> float:
@@ -345,7 +345,7 @@ class GrblMachine:
             said = self._dialogue.query("$$")
             return assumed | {s.number: s.value for s in said if isinstance(s, GrblSetting)}
 
-        settings = agreed(read, "settings ($$)", self._link.name)
+        settings = agreed_reading(read, "settings ($$)", self._link.name)
         if missing := [number for number in needed if number not in settings]:
             raise DeviceError(f"{self._link.name}: $$ does not name ${missing[0]}; needs Grbl 1.1")
         for number in needed:

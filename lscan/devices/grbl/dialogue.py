@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from lscan.devices.grbl.machine import Exchange, Unanswered, asked
+from lscan.devices.grbl.machine import Exchange, Unanswered, ask_again
 from lscan.errors import DeviceError
 from lscan.files.disk import packaged_table
 
@@ -191,7 +191,7 @@ class Dialogue(Exchange[Message]):
                     return answer.text.split()
             raise self.silent("a readable answer to '$G'")
 
-        return asked(ask)
+        return ask_again(ask)
 
     def status(self) -> StatusReport:
         """A report asked for now, its lengths in the controller's unit."""

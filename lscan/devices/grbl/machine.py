@@ -304,7 +304,7 @@ class Exchange(ABC, Generic[Said]):
 
     def query(self, text: str, first: str = "") -> list[Said]:
         """As ``command``, of a line that changes nothing: it is sent again where need be."""
-        return asked(lambda: self.command(text, first=first))
+        return ask_again(lambda: self.command(text, first=first))
 
     def drain(self) -> None:
         """Read what has come unasked, so that no old ok answers a new line."""
@@ -329,7 +329,7 @@ class Exchange(ABC, Generic[Said]):
         )
 
 
-def asked(ask: Callable[[], Answer]) -> Answer:
+def ask_again(ask: Callable[[], Answer]) -> Answer:
     """The answer of ``ask``, which is called again where it raises Unanswered, up to ASKINGS."""
     for _ in range(ASKINGS - 1):
         with contextlib.suppress(Unanswered):
@@ -337,7 +337,7 @@ def asked(ask: Callable[[], Answer]) -> Answer:
     return ask()
 
 
-def agreed(read: Callable[[], Reading], what: str, name: str) -> Reading:
+def agreed_reading(read: Callable[[], Reading], what: str, name: str) -> Reading:
     """The reading that two calls in a row of ``read`` give alike; DeviceError where none is.
 
     what: the thing read, name: the device, both for the message.

@@ -15,8 +15,8 @@ from lscan.devices.grbl.machine import (
     Link,
     SerialTrackOptions,
     Unanswered,
-    agreed,
-    asked,
+    agreed_reading,
+    ask_again,
 )
 from lscan.errors import DeviceError
 
@@ -121,7 +121,7 @@ class MarlinMachine:
 
     def position_mm(self) -> float:
         """The axis's position, two reports alike."""
-        return agreed(lambda: asked(self._reported_mm), "position", self._link.name)
+        return agreed_reading(lambda: ask_again(self._reported_mm), "position", self._link.name)
 
     def laser(self, power: float) -> None:
         """M3 with S, or M5."""

@@ -95,7 +95,7 @@ class SerialTrack:
         """
         self._ready()
         require_reachable(self._name, position_mm, self.limits_mm, ROUNDING_MM)
-        with self._latched():
+        with self._latch_failure():
             self._check_undisturbed()
             self._moved = True
             return self._approach(float(position_mm))
@@ -117,7 +117,7 @@ class SerialTrack:
             "max_mm_min": travel.max_mm_min,
             "accel_mm_s2": travel.accel_mm_s2,
         }
-        with self._latched():
+        with self._latch_failure():
             facts = self._machine.describe()
         finite = {name: mm if math.isfinite(mm) else None for name, mm in numbers.items()}
         return facts | finite
@@ -183,7 +183,7 @@ class SerialTrack:
     def laser_on(self) -> None:
         """Switch the laser on with the rig's ``laser_power``."""
         self._ready()
-        with self._latched():
+        with self._latch_failure():
             self._lit = True
             self._machine.laser(self._options.laser_power)
 
@@ -191,7 +191,7 @@ class SerialTrack:
         """Switch the laser off; after a failed motion too, for the sake of eyes."""
         if self._refusal == _CLOSED:
             self._ready()
-        with self._latched():
+        with self._latch_failure():
             self._machine.laser(0.0)
             self._lit = False
 
@@ -282,7 +282,7 @@ class SerialTrack:
             raise DeviceError(f"{self._name}: {self._refusal}")
 
     @contextlib.contextmanager
-    def _latched(self) -> Iterator[None]:
+    def _latch_failure(self) -> Iterator[None]:
         """Remember that what runs within failed, and stop what may still move."""
         try:
             yield

@@ -224,7 +224,7 @@ class OpencvCamera:
     # ---- opening ------------------------------------------------------------------------
 
     def _new_reader(self) -> Reader:
-        return Reader(self._section, self._options, self._open_capture, self._checked)
+        return Reader(self._section, self._options, self._open_capture, self._check_picture)
 
     def _first_settings(self) -> Settings:
         """The settings of a camera just opened; it is released where they are refused."""
@@ -277,7 +277,7 @@ class OpencvCamera:
         if self._closed.is_set():
             raise DeviceError(f"{self._options.name}: is closed")
 
-    def _checked(self, raw: object) -> Bytes:
+    def _check_picture(self, raw: object) -> Bytes:
         """The picture, if it is what a run can hold and what the rig says: DeviceError."""
         image = np.asarray(raw)
         if image.ndim == 3 and image.shape[2] == 1:

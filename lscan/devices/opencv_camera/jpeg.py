@@ -86,7 +86,7 @@ def jpeg_file(packet: Bytes) -> bytes | None:
     return None if end is None else data[:end]
 
 
-def decoded(data: bytes | None, name: str = "the stream") -> Bytes | None:
+def decode_jpeg(data: bytes | None, name: str = "the stream") -> Bytes | None:
     """The picture of a JPEG file, (H, W, 3) uint8, blue first; None where it cannot be decoded.
 
     name: of the stream, in messages.
@@ -115,7 +115,7 @@ def is_whole(data: bytes) -> bool:
 
     Parameters
     ----------
-    data : a JPEG file, from its beginning to its end, that ``decoded`` can decode
+    data : a JPEG file, from its beginning to its end, that ``decode_jpeg`` can decode
     """
     layout = _layout(data)
     if layout is None:
@@ -125,12 +125,12 @@ def is_whole(data: bytes) -> bool:
         return False
     head, needed = data[: layout.start], np.zeros(len(runs), dtype=bool)
     try:
-        image = _decoded_runs(head, runs)
-        if not np.array_equal(image, _decoded_runs(head, [run + FILLERS[0] for run in runs])):
+        image = _decode_runs(head, runs)
+        if not np.array_equal(image, _decode_runs(head, [run + FILLERS[0] for run in runs])):
             return False
         for filler in FILLERS:
             # Where the cut parts a 0xFF from its 0x00, the 0xFF would begin a marker.
-            other = _decoded_runs(head, [run[:-TAIL].rstrip(b"\xff") + filler for run in runs])
+            other = _decode_runs(head, [run[:-TAIL].rstrip(b"\xff") + filler for run in runs])
             needed |= [bool((image[place] != other[place]).any()) for place in _places(layout)]
             if needed.all():
                 return True
@@ -192,7 +192,7 @@ def _runs(coded: bytes) -> list[bytes]:
     return []
 
 
-def _decoded_runs(head: bytes, runs: list[bytes]) -> Bytes:
+def _decode_runs(head: bytes, runs: list[bytes]) -> Bytes:
     """The picture whose coded data are these runs.  Raises OSError or ValueError."""
     markers = [bytes([0xFF, 0xD0 + number % 8]) for number in range(len(runs) - 1)] + [END]
     coded = b"".join(part for pair in zip(runs, markers, strict=True) for part in pair)
@@ -264,7 +264,7 @@ class JpegStream:
         if self._count > 1 and self.file:
             return ""
         # Where the first packet is no picture, none of the others is likely one.
-        first = None if self._first is None else decoded(jpeg_file(self._first), self._name)
+        first = None if self._first is None else decode_jpeg(jpeg_file(self._first), self._name)
         return ended_early(0 if first is None else self._count)
 
     def read(self) -> tuple[bool, Any]:
@@ -274,11 +274,11 @@ class JpegStream:
         Raises DeviceError where packets are broken or never need to be waited for.
         """
         for _ in range(MOST_BROKEN):
-            packet = self._awaited()
+            packet = self._next_packet()
             if packet is None:
                 return False, None
             file = jpeg_file(packet)
-            image = decoded(file, self._name)
+            image = decode_jpeg(file, self._name)
             if file is not None and image is not None:
                 self.file = file
                 return True, image
@@ -288,7 +288,7 @@ class JpegStream:
             "and the camera, then scan with --resume"
         )
 
-    def _awaited(self) -> Bytes | None:
+    def _next_packet(self) -> Bytes | None:
         """The next packet that had to be waited for; None where the stream has ended."""
         for _ in range(MOST_WAITING):
             asked_s = time.monotonic()

@@ -262,14 +262,14 @@ def apply_settings(capture: Capture, section: CameraSection, options: OpencvOpti
         "exposure_ms": exposure.to_raw,
     }
     to_user = {"pixel_format": fourcc_text, "exposure_ms": exposure.to_ms}
-    stated = _stated(section, options, exposure)
+    stated = _stated_settings(section, options, exposure)
 
     def set_and_read(names: Iterable[str]) -> dict[str, Setting]:
         for name in names:
             key, asked = stated[name]
             capture.set(key, to_raw.get(name, float)(asked))
         return {
-            name: Setting(name, asked, to_user.get(name, _reported)(capture.get(key)))
+            name: Setting(name, asked, to_user.get(name, _reported_value)(capture.get(key)))
             for name, (key, asked) in stated.items()
         }
 
@@ -289,7 +289,7 @@ def _may_be_held(setting: Setting | None) -> bool:
     return setting is not None and setting.got is not None and not setting.obeyed
 
 
-def _stated(
+def _stated_settings(
     section: CameraSection, options: OpencvOptions, exposure: _Exposure
 ) -> dict[str, tuple[int, Value]]:
     """OpenCV's property and what it is set to, by name; without what the rig file leaves open.
@@ -318,7 +318,7 @@ def _stated(
     }
 
 
-def _reported(raw: float) -> float | None:
+def _reported_value(raw: float) -> float | None:
     """OpenCV's number, None for -1: it says so of what the camera does not have."""
     return None if raw == -1 else raw
 

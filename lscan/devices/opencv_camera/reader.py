@@ -287,7 +287,7 @@ class Reader:
             if self._given_up:
                 return
             if raw is None:
-                raise DeviceLost(f"{options.name}: {self._ended(capture, count)}")
+                raise DeviceLost(f"{options.name}: {self._end_reason(capture, count)}")
             now_s = time.monotonic()
             image = self._check(raw)
             stuck = last is not None and self.is_stuck(image, last)
@@ -313,7 +313,7 @@ class Reader:
             time.sleep(FAILED_WAIT_S)
         return None
 
-    def _ended(self, capture: Capture, count: int) -> str:
+    def _end_reason(self, capture: Capture, count: int) -> str:
         """Why no further picture can be read after ``count``."""
         if not self._options.live:
             return f"holds no more pictures than {count}; plan fewer frames"

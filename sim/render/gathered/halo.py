@@ -31,8 +31,7 @@ from sim.water.spread import Spread
 #
 # The chart is conformal: the angle q between two directions, at z1 and z2 on the chart, is
 # 2 sin(q / 2) = |z1 - z2| c1 c2, with c the cosine of half their angle from the middle.  All its
-# rays start at one place, the point that the camera's rays pass nearest to; behind a flat port
-# they
+# rays start at one place, the point that the camera's rays pass nearest to; behind a flat port they
 # miss it by less than a millimetre.  Around the picture, from where only light that spreads widely
 # gets into it, the chart's cells are COARSER.
 
@@ -40,8 +39,7 @@ from sim.water.spread import Spread
 # What the water scatters of a surface's light into a camera's pixel: a sum of Gaussians.
 #
 # By reciprocity a pixel receives from an element of a surface what a pencil beam along the pixel's
-# ray would bring to it (sim.water.spread).  The element lies on a plane, tilted against the line
-# of
+# ray would bring to it (sim.water.spread).  The element lies on a plane, tilted against the line of
 # sight, on which the beam ends too.  About the element that light is a function of the angle q
 # between ray and element and of the azimuth chi of the tilt, R0(q) + R1(q) cos chi; what is left,
 # of cos 2 chi, is 1 % of R0 within 10 degrees and 4 % within 60.  Both are fitted by Gaussians
@@ -91,14 +89,17 @@ def scatter_kernel(spread: Spread, extinction_per_mm: float, smallest_rad: float
     levels = int(np.ceil(np.log2(WIDEST_GAUSSIAN_RAD / smallest_rad))) + 1
     sigmas = WIDEST_GAUSSIAN_RAD / np.exp2(np.arange(levels, dtype=float))[::-1]
     angle = np.geomspace(sigmas[0], FARTHEST * WIDEST_GAUSSIAN_RAD, ANGLES_A_LEVEL * levels)
-    light = _received(spread, extinction_per_mm, angle)
-    moved = _received(spread, extinction_per_mm, angle * SHIFT)
-    weights, other = _fitted(angle, sigmas, light), _fitted(angle, sigmas, moved)
+    light = _irradiance(spread, extinction_per_mm, angle)
+    moved = _irradiance(spread, extinction_per_mm, angle * SHIFT)
+    weights, other = (
+        _coefficients(angle, sigmas, light),
+        _coefficients(angle, sigmas, moved),
+    )
     ratio = np.median(other[..., 0] / weights[..., 0], axis=(0, 1))
     return ScatterKernel(sigmas, weights, np.log(np.maximum(ratio, 1e-3)) / np.log(SHIFT))
 
 
-def _received(spread: Spread, extinction: float, angle: Floats) -> Floats:
+def _irradiance(spread: Spread, extinction: float, angle: Floats) -> Floats:
     """(R, C, Q, HARMONICS) irradiance of planes by a beam of unit power, 1/mm2."""
     azimuth = np.pi * (np.arange(AZIMUTHS) + 0.5) / AZIMUTHS
     ranges, cosine, theta, chi = np.meshgrid(
@@ -113,7 +114,7 @@ def _received(spread: Spread, extinction: float, angle: Floats) -> Floats:
     return np.stack([light.mean(axis=-1), 2 * (light * np.cos(chi)).mean(axis=-1)], axis=-1)
 
 
-def _fitted(angle: Floats, sigmas: Floats, light: Floats) -> Floats:
+def _coefficients(angle: Floats, sigmas: Floats, light: Floats) -> Floats:
     """(R, C, L, HARMONICS) coefficients; errors count relative to the light's mean."""
     x = angle[:, np.newaxis] / sigmas
     weights = []
@@ -198,7 +199,7 @@ class Chart:
         """(2, N) columns and rows of a grid, in cells, of (3, N) points in the head's frame."""
         offset = point - grid.pivot[:, np.newaxis]
         way = offset / np.linalg.norm(offset, axis=0)
-        return (_on_chart(way, self.axes) - grid.corner[:, np.newaxis]) / grid.cell
+        return (_chart_places(way, self.axes) - grid.corner[:, np.newaxis]) / grid.cell
 
     def between(self, grid: ChartGrid, place: Floats) -> Floats:
         """(3, N) directions at (2, N) columns and rows of a grid, in cells, head frame."""
@@ -275,7 +276,7 @@ def make_chart(rays: HeadRays, head: Head) -> Chart:
     axes, shape = camera_pose(head).rotation, rays.size_px[::-1]
     origin, way = np.array(rays.origin, dtype=float), np.array(rays.direction, dtype=float)
     pivot = nearest_point(origin, way)
-    places = _on_chart(way, axes)
+    places = _chart_places(way, axes)
     low, size = places.min(axis=1), np.ptp(places, axis=1)
     cell = float(size.max() * (1 + 2 * BESIDE) / CELLS)
     counts = [8 * ceil(side * (1 + 2 * BESIDE) / cell / 8) for side in size]
@@ -332,7 +333,7 @@ def nearest_point(origin: Floats, way: Floats) -> Floats:
     return np.linalg.solve(across, (origin - along * way).sum(axis=1))
 
 
-def _on_chart(way: Floats, axes: Floats) -> Floats:
+def _chart_places(way: Floats, axes: Floats) -> Floats:
     """(2, N) places of (3, N) unit vectors of the head's frame."""
     seen = axes.T @ way
     return np.asarray(2 * seen[:2] / (1 + seen[2]))
@@ -462,17 +463,22 @@ class CameraLeg:
 
         It is that by the Gaussians that are wider than a cell.  inner, outer: of the two grids.
         """
-        sources, lights = _stacked(inner), []
+        sources, lights = _stack(inner), []
         for grid in self._grids:
             if grid.is_first_coarse:
-                wide = _stacked(outer)
+                wide = _stack(outer)
                 wide[self._chart.block] = sources
                 sources = wide
             lights.append(self._level(sources, grid))
             if grid.is_pooled:
-                sources = _pooled(sources)
+                # Shared out among the nearest cells of half as many each way, centres kept.
+                border = cv2.BORDER_CONSTANT
+                sums = cv2.sepFilter2D(
+                    sources, -1, HALVED, HALVED, anchor=(1, 1), borderType=border
+                )
+                sources = _picture(sums[::2, ::2])
         fine = int(log2(COARSER))
-        return _summed([*lights[:fine], _summed(lights[fine:])[self._chart.block]])
+        return _sum_levels([*lights[:fine], _sum_levels(lights[fine:])[self._chart.block]])
 
     def _level_grids(self) -> Iterator[LevelGrid]:
         """The grids of the Gaussians, as coarse as their widths allow."""
@@ -598,7 +604,7 @@ def _finer(table: Floats) -> Picture:
     return _picture(np.ascontiguousarray(table))
 
 
-def _stacked(shining: Shining) -> Picture:
+def _stack(shining: Shining) -> Picture:
     """(rows, columns, 5) all that is summed over cells."""
     return np.dstack([shining.power, shining.depth, shining.tilt])
 
@@ -609,18 +615,7 @@ def _vectors(grid: ChartGrid) -> Picture:
     return np.dstack([vectors, grid.half_cosine]).astype(np.float32)
 
 
-def _pooled(shining: Picture) -> Picture:
-    """On a grid of half as many cells each way.
-
-    It is shared out among the nearest cells such that its centre stays where it is.
-    """
-    sums = cv2.sepFilter2D(
-        shining, -1, HALVED, HALVED, anchor=(1, 1), borderType=cv2.BORDER_CONSTANT
-    )
-    return _picture(sums[::2, ::2])
-
-
-def _summed(pictures: list[Picture]) -> Picture:
+def _sum_levels(pictures: list[Picture]) -> Picture:
     """Pictures on coarser and coarser grids, on the first one's."""
     total = pictures[-1]
     for finer in pictures[-2::-1]:

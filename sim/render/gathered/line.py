@@ -95,7 +95,7 @@ def lit_line(
         more = beside(dr.gather(mi.Point3f, si.p, ray), dr.gather(mi.Vector3f, normal, ray))
         lit_too = np.array(dr.gather(mi.Bool, lit, ray))
         power += share * np.where(lit_too, np.array(more), 0.0).repeat(SCATTERED)
-    return _segmented(power, point.T, normals.T, off_mm)
+    return _line_segments(power, point.T, normals.T, off_mm)
 
 
 def facing(si: mi.SurfaceInteraction3f) -> mi.Vector3f:
@@ -109,13 +109,13 @@ def facing(si: mi.SurfaceInteraction3f) -> mi.Vector3f:
     return dr.select(mi.Frame3f.cos_theta(si.wi) < 0, -normal, normal)
 
 
-def _segmented(power: Floats, point: Floats, normal: Floats, off_mm: Floats) -> LitLine:
+def _line_segments(power: Floats, point: Floats, normal: Floats, off_mm: Floats) -> LitLine:
     """Segments of what (RAYS,) rays lit, whose light lies so far off them."""
     runs, weight = _runs(power > 0, point, normal)
     segments = np.zeros((SEGMENTS, 12))
     if len(runs):
         gone = np.concatenate([[0.0], np.cumsum(weight)])
-        rays = _RaySpans(runs, _shared_out(gone[runs[:, 1]] - gone[runs[:, 0]]), gone)
+        rays = _RaySpans(runs, _cluster_counts(gone[runs[:, 1]] - gone[runs[:, 0]]), gone)
         sent = np.concatenate([[0.0], np.cumsum(power)])
         low, middle, high = (rays.at(CLUSTER, part) for part in (0.0, 0.5, 1.0))
         chord = rays.of(point, high) - rays.of(point, low)
@@ -152,7 +152,7 @@ def _runs(lit: Mask, point: Floats, normal: Floats) -> tuple[Ints, Floats]:
     return runs[:CLUSTERS], np.where(lit, np.maximum(*around), 0.0)
 
 
-def _shared_out(weight: Floats) -> Ints:
+def _cluster_counts(weight: Floats) -> Ints:
     """Numbers of clusters, one at least each, CLUSTERS in all, in proportion to weights."""
     wanted = (CLUSTERS - len(weight)) * weight / weight.sum()
     count = np.floor(wanted).astype(int)
@@ -428,8 +428,7 @@ def _segment(
 # The sheet's light that the water scatters onto surfaces: a table in the sheet's own frame.
 #
 # Every ray of the sheet spreads as a pencil beam does in endless water (sim.water.spread).  At a
-# place (phi, rho) of the sheet's middle and the offset s from it, a plane surface with the normal
-# n
+# place (phi, rho) of the sheet's middle and the offset s from it, a plane surface with the normal n
 # receives the sum over the fan; the rays end on the surface's own plane.  Along the fan the sum is
 # over hyperbolic sines of the distance, for light between a line and a point beside it falls off
 # with the distance.  How the sum depends on n is a polynomial of the second degree, found by least
@@ -476,7 +475,7 @@ class Glow:
         """
         self._sheet, self._edge = sheet, _edge(sheet)
         self._loss = opaque(_loss(spread, extinction_per_mm))
-        table = _summed_up(sheet.settings, spread, extinction_per_mm)
+        table = _coefficient_table(sheet.settings, spread, extinction_per_mm)
         self._table = mi.Texture3f(mi.TensorXf(table), use_accel=False)
 
     def of_strip(self, point: mi.Point3f, normal: mi.Vector3f) -> mi.Float:
@@ -499,7 +498,7 @@ class Glow:
         middle, plane = dr.gather(mi.Point3f, point, index), dr.gather(mi.Vector3f, normal, index)
         across = sheet.normal - plane * dr.dot(plane, sheet.normal)
         lean = dr.maximum(dr.norm(across), GRAZING)
-        light = self.irradiance(middle + across * (s / dr.square(lean)), plane) * _in_strip(s)
+        light = self.irradiance(middle + across * (s / dr.square(lean)), plane) * _strip_share(s)
         strip = dr.block_sum(light * step / lean, STRIP_NODES)
         line = dr.cross(normal, sheet.normal)
         offset = point - sheet.apex(mi.Float(0))
@@ -514,7 +513,7 @@ class Glow:
         point, normal : as those of ``irradiance``
         """
         phi, _, s = self._sheet.coordinates(point, mi.Float(0))
-        within = dr.select(dr.abs(phi) <= self._sheet.half_angle, _in_strip(s), 0.0)
+        within = dr.select(dr.abs(phi) <= self._sheet.half_angle, _strip_share(s), 0.0)
         return (1 - within) * self.irradiance(point, normal)
 
     def irradiance(self, point: mi.Point3f, normal: mi.Normal3f) -> mi.Float:
@@ -545,13 +544,13 @@ class Glow:
         return light * dr.maximum(total, 0)
 
 
-def _in_strip(s: mi.Float) -> mi.Float:
+def _strip_share(s: mi.Float) -> mi.Float:
     """Share of the light s mm off the sheet's middle that counts as of the line."""
     return dr.exp(-0.5 * dr.square(s / STRIP_MM))
 
 
 @lru_cache(maxsize=8)  # tanks often differ in the target, the camera or the sensor alone
-def _summed_up(
+def _coefficient_table(
     settings: tuple[Laser, LaserLine, float, float], spread: Spread, extinction_per_mm: float
 ) -> Picture:
     """(S, R, A, terms) the table of a sheet with these settings."""
@@ -563,7 +562,7 @@ def _summed_up(
         ASIDE_AXIS.nodes(), RHO_AXIS.nodes(), np.linspace(-edge, edge, GLOW_ANGLES), indexing="ij"
     )
     lookup = SpreadLookup(spread, extinction_per_mm)
-    terms = _widened(_fitted(sheet, lookup, phi, rho, aside), sheet)
+    terms = _widen_by_sheet(_fit_coefficients(sheet, lookup, phi, rho, aside), sheet)
     share = _share(sheet, *(floats(values) for values in (phi, rho, aside)))
     facing = np.maximum(terms[..., :1], LEAST_LIGHT)
     log_value = np.log(facing[..., 0] / np.array(share).reshape(phi.shape))
@@ -614,7 +613,7 @@ def _share(sheet: LaserSheet, phi: mi.Float, rho: mi.Float, s: mi.Float) -> mi.F
     return dr.maximum(ends / pi, LEAST)
 
 
-def _fitted(
+def _fit_coefficients(
     sheet: LaserSheet, lookup: SpreadLookup, phi: Floats, rho: Floats, aside: Floats
 ) -> Floats:
     """(S, R, A, terms) coefficients for a sheet without thickness, at (S, R, A) places."""
@@ -689,7 +688,7 @@ def thin_sheet(
     return received.reshape(*phi.shape, len(normals))
 
 
-def _widened(thin: Floats, sheet: LaserSheet) -> Floats:
+def _widen_by_sheet(thin: Floats, sheet: LaserSheet) -> Floats:
     """(S, R, A, terms) means over the Gaussian of the sheet's thickness about each offset."""
     nodes = ASIDE_AXIS.nodes()
     # The middles of even steps never meet the infinite light in the middle of a thin sheet.

@@ -196,9 +196,9 @@ class GatheredLight:
         """
         direct = binned(direct, direct.shape[0] // self._inner.shape[0])
         line = self._line_in_view(head)
-        lines = [_splatted(grid, self._chart, *line) for grid in self._grids]
+        lines = [_splat(grid, self._chart, *line) for grid in self._grids]
         glow, tilt, cells = self._surfaces(head, direct, seen, lines)
-        return self._in_picture(direct, glow, tilt, cells, seen, self._left(position_mm))
+        return self._picture_layers(direct, glow, tilt, cells, seen, self._left(position_mm))
 
     def _left(self, position_mm: float) -> list[Picture]:
         """What surfaces leave of the halo and of each sheet's veil, between known places."""
@@ -206,7 +206,7 @@ class GatheredLight:
         before, behind = (self._left_at(number + step) for step in (0, 1))
         return [a + np.float32(part) * (b - a) for a, b in zip(before, behind, strict=True)]
 
-    def _in_picture(
+    def _picture_layers(
         self,
         direct: Picture,
         glow: Picture,
@@ -250,21 +250,23 @@ class GatheredLight:
         lit = self._reflections.lit()
         rays, place = self._rays.some(index)
         hit = dr.gather(mi.PreliminaryIntersection3f, seen.hit, place)
-        even, near = self._sent(rays.seen_from(head), hit, head, lit).split(coarse.size, exact.size)
+        even, near = self._seen_along(rays.seen_from(head), hit, head, lit).split(
+            coarse.size, exact.size
+        )
         start, finer = self._within(self._inner.ravel()[fine], samples)
         directions = [*(each.directions for each in cells), finer]
-        ray = self._traced_rays(head, np.hstack(directions), start)
+        ray = self._world_rays(head, np.hstack(directions), start)
         hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
         counts = [way.shape[1] for way in directions]
-        *traced, within = self._sent(ray, hit, head, lit).split(*counts)
-        picture = _stretched(even.radiance.reshape(coarse.shape), *self._inner.shape)
+        *traced, within = self._seen_along(ray, hit, head, lit).split(*counts)
+        picture = _upsample(even.radiance.reshape(coarse.shape), *self._inner.shape)
         picture.ravel()[exact] = near.radiance
         first = np.cumsum(samples) - samples
         picture.ravel()[fine] = np.add.reduceat(within.radiance, first) / samples
         tilt = np.zeros((*self._inner.shape, 2), np.float32)
         tangents = self._chart.tilt(within.normal, finer.astype(np.float32))
         tilt.reshape(-1, 2)[fine] = np.add.reduceat(tangents, first) / samples[:, np.newaxis]
-        glows = [self._traced(*each) for each in zip(cells, traced, strict=True)]
+        glows = [self._trace_cells(*each) for each in zip(cells, traced, strict=True)]
         self._put_view(glows[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
         shining = [
             line + summed_in_cells(glow.power * grid.solid_angle, glow.distance, glow.normal)
@@ -274,12 +276,18 @@ class GatheredLight:
 
     def _cell_rays(self, grid: ChartGrid, cells: Ints, line: Picture) -> CellRays:
         """Rays of cells of a grid, given the line's light in all of them."""
-        on_line = np.intersect1d(_on_line(line), cells, assume_unique=True)
-        finer = self._chart.between(grid, _inside(on_line, grid.shape[1], self._finer(grid)))
+        # On the line and beside it, where the glow peaks, each cell in so many places down it.
+        near = np.flatnonzero(cv2.dilate((line > 0).astype(np.uint8), NEIGHBOURS))
+        on_line = np.intersect1d(near, cells, assume_unique=True)
+        row, column = np.divmod(on_line, grid.shape[1])
+        count = self._finer(grid)
+        below = (np.arange(count) + 0.5) / count - 0.5
+        places = np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
+        finer = self._chart.between(grid, places)
         directions = np.hstack([grid.directions[:, cells], finer])
         return CellRays(grid, cells, on_line, directions)
 
-    def _traced(self, rays: CellRays, seen: Seen) -> SeenCells:
+    def _trace_cells(self, rays: CellRays, seen: Seen) -> SeenCells:
         """What a grid's cells send on in each steradian; none where there were no rays."""
         grid, cells = rays.grid, rays.cells
         even, fine = seen.split(cells.size, seen.distance.size - cells.size)
@@ -311,7 +319,7 @@ class GatheredLight:
 
     def _uneven(self, direct: Picture, seen: PixelSurvey, fine: Ints) -> Ints:
         """The pixels near the line and where surfaces end or are bent, but for fine ones."""
-        near = _widened(direct > 0, ABOUT_LINE) | _widened(seen.bent, STEP)
+        near = _dilate(direct > 0, ABOUT_LINE) | _dilate(seen.bent, STEP)
         near.ravel()[fine] = False
         return np.flatnonzero(near)
 
@@ -327,7 +335,7 @@ class GatheredLight:
             ways += (self._pixel_rays[1][:, other] - self._pixel_rays[1][:, own]) * share
         return starts, ways / np.linalg.norm(ways, axis=0)
 
-    def _traced_rays(self, head: Pose, directions: Floats, last: Floats) -> mi.Ray3f:
+    def _world_rays(self, head: Pose, directions: Floats, last: Floats) -> mi.Ray3f:
         """Rays in the world, from the chart's middle but for the last ones, whose starts are given.
 
         All in the head's frame.
@@ -340,7 +348,7 @@ class GatheredLight:
         )
         return mi.Ray3f(frame.point(start), frame.direction(way))
 
-    def _sent(
+    def _seen_along(
         self, ray: mi.Ray3f, hit: mi.PreliminaryIntersection3f, head: Pose, lit: LitSurfaces
     ) -> Seen:
         """What rays see of light that surfaces send on; hit: what they meet."""
@@ -397,9 +405,7 @@ def _mean_normal(scene: mi.Scene, rays: HeadRays, places: Sequence[Pose]) -> Flo
     return total / length if length > 0 else None
 
 
-def _splatted(
-    grid: ChartGrid, chart: Chart, point: Floats, normal: Floats, power: Floats
-) -> Shining:
+def _splat(grid: ChartGrid, chart: Chart, point: Floats, normal: Floats, power: Floats) -> Shining:
     """What points shine with, shared out among four cells each, such that their centre stays."""
     rows, columns = grid.shape
     column, row = chart.place(grid, point)
@@ -419,34 +425,22 @@ def _splatted(
     return Shining(shone, depth, np.stack(tilt, axis=-1))
 
 
-def _on_line(line: Picture) -> Ints:
-    """Numbers of a grid's cells on the line and beside it, where the glow peaks."""
-    return np.flatnonzero(cv2.dilate((line > 0).astype(np.uint8), NEIGHBOURS))
-
-
-def _inside(cells: Ints, columns: int, count: int) -> Floats:
-    """(2, N count) columns and rows, in cells, of so many places down each of N cells."""
-    row, column = np.divmod(cells, columns)
-    below = (np.arange(count) + 0.5) / count - 0.5
-    return np.stack([column.repeat(count), (row[:, np.newaxis] + below).ravel()])
-
-
 def _cut_pixels(direct: Picture, bent: Mask) -> tuple[Ints, Ints]:
     """The line's pixels, and those near it where surfaces end, and how many samples each gets."""
     bright = (direct > FAINT * direct.max(axis=0)) & (direct > 0)
     rows = -(-LINE_ROWS // np.maximum(bright.sum(axis=0), 1))
-    samples = np.where(bright, rows, EDGE_SAMPLES * (bent & _widened(direct > 0, ABOUT_EDGES)))
+    samples = np.where(bright, rows, EDGE_SAMPLES * (bent & _dilate(direct > 0, ABOUT_EDGES)))
     pixels = np.flatnonzero(samples)
     return pixels, samples.ravel()[pixels]
 
 
-def _widened(mask: Mask, pixels: int) -> Mask:
+def _dilate(mask: Mask, pixels: int) -> Mask:
     """A mask grown by so many pixels each way."""
     size = 2 * pixels + 1
     return np.asarray(cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0)
 
 
-def _stretched(coarse: Picture, height: int, width: int) -> Picture:
+def _upsample(coarse: Picture, height: int, width: int) -> Picture:
     """A picture known at every STEP-th pixel from the first on, by cubics between them.
 
     Where these swing below zero, at an edge, there is no light.

@@ -26,11 +26,11 @@ from sim.render.ambient import (
     NodeLattice,
     box_about,
     is_convex,
-    joined,
+    join_samples,
     like_places,
     one_a_cell,
     reflectance,
-    traced_all,
+    trace_all,
 )
 from sim.render.gathered.line import (
     CLUSTER,
@@ -54,10 +54,8 @@ from sim.water.tablecache import kept_arrays
 
 # Light that surfaces send to and fro: what a tank's patches make of the light that they receive.
 #
-# The surfaces stand still, so what patches receive of the light they all send, over every number
-# of
-# reflections, is one matrix.  Light that a line gives them varies within a patch: what is
-# reflected
+# The surfaces stand still, so what patches receive of the light they all send, over every number of
+# reflections, is one matrix.  Light that a line gives them varies within a patch: what is reflected
 # first is known at many more places, the senders.
 
 
@@ -240,7 +238,7 @@ def _tables(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> dict[str, F
     once = np.asarray((met @ about.matrix(len(index))).todense())
     more = np.linalg.solve(np.eye(len(index)) - once, once)
     seen, of_seen = np.unique(node[share > 0].astype(np.intp), return_inverse=True)
-    sending = _thinned(lattice, seen, MOST_SENDERS)
+    sending = _thin(lattice, seen, MOST_SENDERS)
     sender = len(index) + Interpolation(nodes, sending, seen).near[:, 0][of_seen]
     senders = np.concatenate([index, sending])  # patches that no light leaves may be lit, too
     size = len(index), len(senders)
@@ -264,14 +262,14 @@ def _patches(scene: mi.Scene, lattice: NodeLattice, water: Optics) -> AmbientSam
     nodes = lattice.nodes
     inside = np.flatnonzero(nodes.inside)
     coarse = one_a_cell(nodes, inside, COARSE * lattice.spacing_mm)
-    first = traced_all(scene, lattice, water, coarse)
+    first = trace_all(scene, lattice, water, coarse)
     sky = Interpolation(nodes, first.index, inside).of(first.open)
     shaded = np.setdiff1d(inside[sky < 1 - SHADED], coarse)
-    more = _thinned(lattice, shaded, MOST_PATCHES - len(coarse))
-    return joined([first, traced_all(scene, lattice, water, more)]) if more.size else first
+    more = _thin(lattice, shaded, MOST_PATCHES - len(coarse))
+    return join_samples([first, trace_all(scene, lattice, water, more)]) if more.size else first
 
 
-def _thinned(lattice: NodeLattice, among: Ints, most: int) -> Ints:
+def _thin(lattice: NodeLattice, among: Ints, most: int) -> Ints:
     """One of some nodes in each cell, of the least of FINE that gives no more than ``most``."""
     for cell in FINE:
         chosen = one_a_cell(lattice.nodes, among, cell * lattice.spacing_mm)
@@ -403,7 +401,7 @@ def beside_line(
     dr.eval(columns)
     nodes = np.stack([np.broadcast_to(np.array(values), len(lane)) for values in columns], axis=-1)
     most = np.argsort(-nodes[:, 8], kind="stable")[:GATHERING]
-    nodes[most, 3] = _gathered(scene, most, nodes[most], sent)
+    nodes[most, 3] = _gather(scene, most, nodes[most], sent)
     return BesideLine(sheet, floats(nodes[:, :8]), floats(rows))
 
 
@@ -428,7 +426,7 @@ def _row_places(segments: Floats) -> Floats:
     return np.pad(placed, ((0, ROWS - len(placed)), (0, 0)), mode="edge")
 
 
-def _gathered(scene: mi.Scene, number: Ints, nodes: Floats, sent: Radiosity) -> Floats:
+def _gather(scene: mi.Scene, number: Ints, nodes: Floats, sent: Radiosity) -> Floats:
     """Irradiance of nodes, given their numbers: means over directions on a spiral each."""
     lane = dr.arange(mi.UInt32, BESIDE_DIRECTIONS * len(number))
     index, which = lane // BESIDE_DIRECTIONS, lane % BESIDE_DIRECTIONS

@@ -49,12 +49,9 @@ from sim.water.tablecache import kept_arrays
 # How much of the line's halo the tank's surfaces leave, against what planes in their place would.
 #
 # The Gaussians of ``camera`` take each place of the line for a plane, tilted as the surface is
-# there,
-# on which the camera's rays end too; light of parts of the line that the camera does not see is
-# left
-# out.  Here the light that the water scatters once between the line and the camera is summed with
-# the
-# surfaces as they are, and with such planes: their ratio differs little from 1.
+# there, on which the camera's rays end too; light of parts of the line that the camera does not see
+# is left out.  Here the light that the water scatters once between the line and the camera is
+# summed with the surfaces as they are, and with such planes: their ratio differs little from 1.
 
 
 BLOCK = 4  # fine cells of the chart, each way, that share a ray

@@ -25,8 +25,7 @@ from sim.water import Optics
 # Walks of light through water from the camera to a given place.
 #
 # A walk starts along an axis of its own and is scattered by chance.  Where it crosses the sphere
-# about its start whose radius is the place's distance, it is turned about its start so that it
-# ends
+# about its start whose radius is the place's distance, it is turned about its start so that it ends
 # at the place.  The radiance that arrives along the first leg of such walks, of a source of the
 # radiant intensity I at the place, is then the mean of I / (distance2 cos), cos being that between
 # the last leg and the sphere's normal: an element of volume is distance2 dOmega times cos of the

@@ -29,8 +29,7 @@ from sim.render.sampled.integrator import Leg, WaterIntegrator
 # A ray of the laser is drawn near the ray at hand (sim.render.sampled.beams); places in the water
 # are drawn by the angle of scattering (sim.render.plugins.water), from the surface's point or, in
 # the last family, from each other, in either order, weighted by the balance heuristic (Veach 1997,
-# sec. 9.2).  Interreflection is weighted against the surface's own sampling by the power
-# heuristic,
+# sec. 9.2).  Interreflection is weighted against the surface's own sampling by the power heuristic,
 # for light that meets a surface near a corner.
 
 

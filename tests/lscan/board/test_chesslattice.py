@@ -30,8 +30,8 @@ def drawn(view: DrawnView = VIEW, slivers: tuple[float, ...] = NO_SLIVERS, seed:
 def answering(monkeypatch: pytest.MonkeyPatch, *answers: Floats) -> None:
     """The detectors give these answers, one each, OpenCV's two first; those left none."""
     found = [corners.reshape(ROWS, COLUMNS, 2) for corners in answers]
-    monkeypatch.setattr(chesslattice, "_by_opencv", lambda *_: found[:2])
-    monkeypatch.setattr(chesslattice, "_by_saddles", lambda *_: found[2:])
+    monkeypatch.setattr(chesslattice, "_corners_by_opencv", lambda *_: found[:2])
+    monkeypatch.setattr(chesslattice, "_corners_by_saddles", lambda *_: found[2:])
 
 
 def lattice(rows: Floats, columns: Floats) -> Floats:

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 
 from lscan.board.picture import Centres
-from lscan.board.search import Nodes, moved, seeded, spread
+from lscan.board.search import Nodes, seed_nodes, shift_by, spread
 from lscan.records import Floats, Mask
 
 
@@ -22,14 +22,14 @@ def test_each_node_holds_what_is_so_many_rows_and_columns_away(
         there = row + shift[0], column + shift[1]
         if 0 <= there[0] < shape[0] and 0 <= there[1] < shape[1]:
             expected[row, column] = values[there]
-    np.testing.assert_array_equal(moved(values, *shift), expected)
+    np.testing.assert_array_equal(shift_by(values, *shift), expected)
 
 
 def test_each_dot_belongs_to_one_node() -> None:
     """Rows that stray at the rim run back over the board: 9 by 9 dots on 41 by 41 nodes are 81."""
     dots = 20.0 * np.stack(np.meshgrid(np.arange(9), np.arange(9)), axis=-1).reshape(-1, 2)
     nodes = Nodes.empty(41, 41)
-    where, _ = seeded((20, 20), dots[[40, 49, 41]])
+    where, _ = seed_nodes((20, 20), dots[[40, 49, 41]])
 
     def seen(points: Floats) -> Centres:
         return Centres(points, *np.ones((2, len(points))), np.ones(len(points), bool))

@@ -29,7 +29,7 @@ from lscan.devices.opencv_camera.jpeg import (
     MOST_BROKEN,
     MOST_WAITING,
     JpegStream,
-    decoded,
+    decode_jpeg,
     is_whole,
     jpeg_file,
 )
@@ -82,7 +82,7 @@ def packet(data: bytes) -> Bytes:
 @settings(max_examples=30)
 @given(width=st.integers(1, 90), height=st.integers(1, 90), pad=st.sampled_from([b"", b"\0\0\r\n"]))
 def test_a_packet_has_the_size_it_says(width: int, height: int, pad: bytes) -> None:
-    image = decoded(jpeg_file(packet(jpeg(np.full((height, width, 3), 90, np.uint8)) + pad)))
+    image = decode_jpeg(jpeg_file(packet(jpeg(np.full((height, width, 3), 90, np.uint8)) + pad)))
     assert image is not None and image.shape == (height, width, 3)
     # A uniform picture has no coefficient but the mean's: 90 is off by rounding alone.
     assert np.abs(image.astype(int) - 90).max() <= 1
@@ -104,7 +104,7 @@ PADDED = {
 def test_a_padded_packet_is_its_picture(way: str, restart: int) -> None:
     data = jpeg(picture(7), restart=restart)
     file = jpeg_file(packet(PADDED[way](data)))
-    image = decoded(file)
+    image = decode_jpeg(file)
     assert file is not None and image is not None
     np.testing.assert_array_equal(image, cv2.imdecode(packet(data), cv2.IMREAD_COLOR))
     assert is_whole(file)
@@ -134,7 +134,7 @@ def test_no_whole_picture_is_taken_for_a_broken_one(
     image = np.full((*size_px, 3), 90, np.uint8) if flat else picture(7, (90, 90))[: size_px[0]]
     data = jpeg(image, quality, restart, sampling, progressive)
     file = jpeg_file(packet(data))
-    seen = decoded(file)
+    seen = decode_jpeg(file)
     assert file == data and seen is not None and is_whole(file)
 
 
@@ -159,7 +159,7 @@ def test_most_pictures_broken_inside_are_known(way: str, restart: int) -> None:
     for 0.5, and for more than 4 in one seed of five thousand (Poisson)."""
     generator = np.random.default_rng(8)
     data = jpeg(line_picture(), restart=restart)
-    whole = decoded(jpeg_file(packet(data)))
+    whole = decode_jpeg(jpeg_file(packet(data)))
     assert whole is not None
     wrong_pictures = taken = 0
     for _ in range(BROKEN_PICTURES):
@@ -167,7 +167,7 @@ def test_most_pictures_broken_inside_are_known(way: str, restart: int) -> None:
         start = int(generator.integers(len(data) // 4, len(data) - 2 - length))
         lost = {"lost": b"", "zeros": bytes(length), "another": generator.bytes(length)}[way]
         file = jpeg_file(packet(data[:start] + lost + data[start + length :]))
-        image = decoded(file)
+        image = decode_jpeg(file)
         if file is None or image is None or image.shape != whole.shape:
             continue
         wrong = (np.abs(image.astype(int) - whole).max(axis=2) > 30).sum() > 64
@@ -181,12 +181,12 @@ def test_most_pictures_broken_inside_are_known(way: str, restart: int) -> None:
 @given(share=st.floats(0, 1, exclude_max=True))
 def test_a_packet_cut_short_is_no_picture(share: float) -> None:
     data = jpeg(picture(7))
-    assert decoded(jpeg_file(packet(data[: int(share * len(data))]))) is None
+    assert decode_jpeg(jpeg_file(packet(data[: int(share * len(data))]))) is None
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"\xff\xd8\xff\xd9", b"<html>busy</html>"])
 def test_what_is_no_jpeg_is_no_picture(data: bytes) -> None:
-    assert decoded(jpeg_file(packet(data))) is None
+    assert decode_jpeg(jpeg_file(packet(data))) is None
 
 
 def test_a_picture_is_not_turned_on_its_side() -> None:
@@ -197,7 +197,7 @@ def test_a_picture_is_not_turned_on_its_side() -> None:
     marked = data[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + data[2:]
     turned = cv2.imdecode(packet(marked), cv2.IMREAD_COLOR)
     assert turned is not None and turned.shape[:2] == SIZE_PX  # the mark is understood
-    image = decoded(jpeg_file(packet(marked)))
+    image = decode_jpeg(jpeg_file(packet(marked)))
     assert image is not None and image.shape[:2] == SIZE_PX[::-1]
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings, strategies as st
 from peak_memory import refused_within
 from png_files import HUGE, chunk, grey_png
 
-from lscan.devices.opencv_camera.jpeg import decoded
+from lscan.devices.opencv_camera.jpeg import decode_jpeg
 from lscan.errors import DeviceError, InputError
 from lscan.files import pictures
 from lscan.files.pictures import MOST_PX, PictureHeader, read_header, read_picture, write_picture
@@ -247,4 +247,4 @@ def test_a_picture_from_the_network_is_refused_by_its_header(
 
     monkeypatch.setattr(pictures.cv2, "imdecode", reached)
     with pytest.raises(DeviceError, match="web: sent a picture of 65500 by 65500 px; allowed"):
-        decoded(jpeg_of(65_500, 65_500), "web")
+        decode_jpeg(jpeg_of(65_500, 65_500), "web")

@@ -17,7 +17,7 @@ from lscan.roughness import (
     profile_spectrum,
     structure_function,
 )
-from lscan.roughness.spectra import detrended, sine_tapers
+from lscan.roughness.spectra import detrend, sine_tapers
 
 CELL_CM = 0.2
 
@@ -158,7 +158,7 @@ def test_structure_function_counts_pairs_by_the_definition() -> None:
     seen = rng.random((20, 24)) > 0.2
     z = rng.normal(0, 1, seen.shape)
     one = patch(z, seen, CELL_CM)
-    flat = np.where(seen, detrended(one), np.nan)
+    flat = np.where(seen, detrend(one), np.nan)
     for axis in (0, 1):
         found = structure_function(one, axis)
         turned = flat if axis == 1 else flat.T

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe, has_value
 from lscan.stripe import extract_stripe
-from lscan.stripe.peaks import Spots, doubted
+from lscan.stripe.peaks import Spots, doubt_beside_edge
 from lscan.stripe.picture import clipping_level, lines_of, strongest_excess
 from lscan.stripe.returns import choose_return, paths_of
 from tests.validation.surfaces.lit import LitTarget, lit_mean, lit_picture
@@ -165,7 +165,7 @@ def test_without_a_threshold_sigma_stays_finite():
     seen = Stripe("columns", np.full(WIDTH, 100.0), np.full(WIDTH, 0.05), np.full(WIDTH, 150.0), ok)
     for above, below in ((0.0, 0.0), (0.0, 3.0)):
         ground = np.where(np.arange(HEIGHT) < 100, above, below) * np.ones_like(line)
-        assert np.isfinite(doubted(seen, line, ground, 0.0).sigma_px).all()
+        assert np.isfinite(doubt_beside_edge(seen, line, ground, 0.0).sigma_px).all()
 
 
 def test_an_edge_along_the_line_is_in_its_sigma():
@@ -176,8 +176,8 @@ def test_an_edge_along_the_line_is_in_its_sigma():
     sigma = np.full(WIDTH, 0.05)
     ok = np.zeros(WIDTH, dtype=np.int64)
     seen = Stripe("columns", np.full(WIDTH, 100.0), sigma, np.full(WIDTH, 150.0), ok)
-    even = doubted(seen, light.T, np.full_like(light.T, 90.0), 20.0)
-    edged = doubted(seen, light.T, (100 * np.broadcast_to(albedo, light.shape)).T, 20.0)
+    even = doubt_beside_edge(seen, light.T, np.full_like(light.T, 90.0), 20.0)
+    edged = doubt_beside_edge(seen, light.T, (100 * np.broadcast_to(albedo, light.shape)).T, 20.0)
     np.testing.assert_array_equal(even.sigma_px, sigma)
     # The mean of the light on white and black, from its own rows.
     mean = (rows * light * albedo).sum(axis=0) / (light * albedo).sum(axis=0)

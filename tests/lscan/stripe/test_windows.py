@@ -15,10 +15,10 @@ from lscan.stripe.api import takes_integers
 from lscan.stripe.extract import extract_stripes
 from lscan.stripe.fit import _ndtr
 from lscan.stripe.peaks import (
-    _opened,
+    _opening,
     crests,
     medians,
-    ranked,
+    order_statistic,
     relief_of,
     spots_near,
     spots_of,
@@ -104,7 +104,7 @@ def test_an_opening_by_halves_is_opencv_s(image: Bytes, size: int, first: int) -
     values = image.astype(np.float32)
     expected = cv2.morphologyEx(values, cv2.MORPH_OPEN, np.ones((size, 1), np.uint8))
     rows = slice(first, first + 20)
-    np.testing.assert_array_equal(_opened(values, size, rows), expected[rows])
+    np.testing.assert_array_equal(_opening(values, size, rows), expected[rows])
 
 
 @FEW
@@ -112,12 +112,12 @@ def test_an_opening_by_halves_is_opencv_s(image: Bytes, size: int, first: int) -
 def test_ranks_are_those_of_sorted_columns(image: Bytes, rank: int) -> None:
     for kind in (np.uint8, np.int16, np.float64):
         columns = np.ascontiguousarray(image.T).astype(kind)
-        assert (ranked(columns, rank) == np.sort(columns, axis=1)[:, rank]).all()
+        assert (order_statistic(columns, rank) == np.sort(columns, axis=1)[:, rank]).all()
         for part in (columns, columns[:, 1:]):  # of an even number of pixels, and of an odd one
             assert (medians(part) == np.median(part, axis=1)).all()
         assert (crests(columns) == columns.argmax(axis=1)).all()
     columns[::3, 5] += 0.25  # no grey value: such columns are sorted, not counted
-    assert (ranked(columns, rank) == np.sort(columns, axis=1)[:, rank]).all()
+    assert (order_statistic(columns, rank) == np.sort(columns, axis=1)[:, rank]).all()
 
 
 @FEW

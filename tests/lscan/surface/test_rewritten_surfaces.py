@@ -15,7 +15,7 @@ import xarray as xr
 from netcdf_forms import stumbling_blocks
 
 from lscan.errors import InputError
-from lscan.files.containers import NetcdfArray, unpacked
+from lscan.files.containers import NetcdfArray, unpack
 from lscan.records import Provenance, Status, Surface
 from lscan.surface import load_surface, save_surface
 from lscan.surface.files import require_storable
@@ -284,7 +284,7 @@ UNPACKED: list[tuple[np.ndarray, dict[str, Any], list[float]]] = [
 @pytest.mark.parametrize("number", range(len(UNPACKED)))
 def test_what_numbers_mean_is_what_their_attributes_say(number: int) -> None:
     stored, attributes, meant = UNPACKED[number]
-    found = unpacked(NetcdfArray((), stored, attributes), "z")
+    found = unpack(NetcdfArray((), stored, attributes), "z")
     np.testing.assert_allclose(found, meant, rtol=1e-15)
     assert found.dtype.isnative
 
@@ -303,7 +303,7 @@ def test_what_numbers_mean_is_what_their_attributes_say(number: int) -> None:
 def test_an_attribute_that_cannot_be_followed_is_refused(attributes: dict[str, Any]) -> None:
     (name,) = attributes
     with pytest.raises(InputError, match=f"^z: .*{name}"):
-        unpacked(NetcdfArray((), I2, attributes), "z")
+        unpack(NetcdfArray((), I2, attributes), "z")
 
 
 FOUR_FRAMES = b"\0\0\0\x05frame\0\0\0\0\0\0\x04"

@@ -85,7 +85,7 @@ def test_light_by_way_of_surfaces_is_left_out_with_the_higher_orders() -> None:
 
 def test_the_light_of_one_sky_is_worked_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
     Tank(lit())
-    monkeypatch.setattr(field, "_arriving", None)  # would raise if called
+    monkeypatch.setattr(field, "_node_light", None)  # would raise if called
     Tank(lit(sensor={"seed": 2}))
 
 

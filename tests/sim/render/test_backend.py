@@ -356,7 +356,7 @@ def test_what_drjit_needs_besides_is_installed_where_it_lacks(
 def test_the_line_after_a_vain_install_says_both(
     machine: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(backend, "_installed", list)
+    monkeypatch.setattr(backend, "_installed_libraries", list)
     with pytest.raises(BackendError, match=r"no usable LLVM.*; apt-get offers none"):
         backend.find_or_install()
 
@@ -447,7 +447,7 @@ def test_mitsuba_renders_with_the_library_chosen() -> None:
 
 @pytest.mark.slow
 def test_a_machine_with_llvm_14_15_16_and_19_picks_19() -> None:
-    libraries = backend.newest_first(backend._installed())
+    libraries = backend.newest_first(backend._installed_libraries())
     kept = [library for library in libraries if library.major in (14, 15, 16, 19)]
     if [library.major for library in kept] != [19, 16, 15, 14]:
         pytest.skip("this machine does not hold LLVM 14, 15, 16 and 19")

@@ -17,7 +17,7 @@ from sim.render.gathered.halo import (
     make_chart,
     summed_in_cells,
 )
-from sim.render.gathered.picture import _splatted
+from sim.render.gathered.picture import _splat
 from sim.render.plugins.arrays import floats
 from sim.scene import Head, load_scene
 
@@ -185,7 +185,7 @@ def test_a_line_on_a_tilted_plane_shines_more_to_one_side(
     power = (chart.pixel_rad[row] * (far + chart.near_mm)) ** 2
     points = chart.inner.pivot[:, np.newaxis] + line * (far + chart.near_mm)
     upright = np.repeat(plane.normal[:, np.newaxis], columns, axis=1)
-    cells = [_splatted(grid, chart, points, upright, power) for grid in (chart.inner, chart.outer)]
+    cells = [_splat(grid, chart, points, upright, power) for grid in (chart.inner, chart.outer)]
     radiance = np.zeros((rows, columns), np.float32)
     radiance[row] = 1
     leans = np.zeros((rows, columns, 2), np.float32)
@@ -234,7 +234,7 @@ def test_points_bring_their_own_normals_and_distances_into_cells(chart: Chart) -
     far, power = np.array([700.0, 900.0, 1100.0]), np.array([1.0, 2.0, 3.0])
     points = grid.pivot[:, np.newaxis] + ways * far
     normals = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.0, -1.0]]).T
-    cells = _splatted(grid, chart, points, normals, power)
+    cells = _splat(grid, chart, points, normals, power)
     assert cells.power.sum() == pytest.approx(power.sum(), rel=1e-5)
     assert cells.depth.sum() == pytest.approx((power * np.log(far - chart.near_mm)).sum(), rel=1e-5)
     np.testing.assert_allclose(cells.tilt.sum(axis=(0, 1)), normals @ power, rtol=1e-5)

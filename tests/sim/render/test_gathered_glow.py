@@ -177,6 +177,6 @@ def test_light_that_misses_many_surfaces_is_fitted(monkeypatch: pytest.MonkeyPat
     assert received[0] == 0 and (received == 0).sum() == 11
     monkeypatch.setattr(glows, "thin_sheet", lambda *_: received)
     nought = np.zeros(())
-    terms = glows._fitted(None, None, nought, nought, nought)  # type: ignore[arg-type]
+    terms = glows._fit_coefficients(None, None, nought, nought, nought)  # type: ignore[arg-type]
     basis = np.stack(glows._basis(*glows._normals().T), axis=-1)
     np.testing.assert_allclose(basis @ terms, received, atol=1e-3 * received.max())

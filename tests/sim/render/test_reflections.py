@@ -12,7 +12,7 @@ from integrator_cases import DRY, make_sheet, one_lobe
 
 from lscan.records import Floats
 from sim.meshes import MeshPart, scene_parts
-from sim.meshes.parts import moved, plain_mesh
+from sim.meshes.parts import move_part, plain_mesh
 from sim.render.ambient import reflectance
 from sim.render.gathered.line import (
     OFF,
@@ -20,7 +20,7 @@ from sim.render.gathered.line import (
     SEGMENTS,
     Glow,
     LitLine,
-    _segmented,
+    _line_segments,
     facing,
     lit_line,
     received,
@@ -78,7 +78,7 @@ class Corner:
     def __init__(
         self, *parts: MeshPart, pose: Pose = HERE, laser: Laser = LASER, water: object = DRY
     ) -> None:
-        parts = tuple(moved(part, pose) for part in parts)
+        parts = tuple(move_part(part, pose) for part in parts)
         shapes = {f"{k}": mitsuba_shape(part, 1.33) for k, part in enumerate(parts)}
         self.scene, self.pose = mi.load_dict({"type": "scene", **shapes}), pose
         integrator = SheetIntegrator(mi.Properties())
@@ -118,7 +118,7 @@ def long_line() -> LitLine:
     x = (np.arange(RAYS) + 0.5) * 20_000 / RAYS - 10_000
     point = np.column_stack([x, np.zeros((RAYS, 2))])
     power = np.full(RAYS, 20_000 / RAYS)
-    return _segmented(power, point, np.tile([0.0, 0.0, 1.0], (RAYS, 1)), np.zeros(RAYS))
+    return _line_segments(power, point, np.tile([0.0, 0.0, 1.0], (RAYS, 1)), np.zeros(RAYS))
 
 
 def from_line(line: LitLine, y_mm: Floats, z_mm: Floats, normal: list[float]) -> Floats:
@@ -252,7 +252,7 @@ def test_a_wavy_line_lights_itself_as_by_quadrature() -> None:
     """1 mW a mm of the way along; in the troughs, where nothing hides the line.  As the surface's
     chords segments lose 1 to 3 % of it, with half as many of them 2 to 6."""
     x = (np.arange(RAYS) + 0.5) * 300 / RAYS
-    line = _segmented(np.full(RAYS, 300 / RAYS), *wave(x), np.zeros(RAYS))
+    line = _line_segments(np.full(RAYS, 300 / RAYS), *wave(x), np.zeros(RAYS))
     places, upright = wave(np.concatenate([np.linspace(40, 60, 41), np.linspace(240, 260, 41)]))
     point, normal = mi.Point3f(vectors(places.T)), mi.Vector3f(vectors(upright.T))
     close, far = received(line, point, normal, mi.Float(0), mi.Bool(True))

@@ -14,7 +14,7 @@ from lscan.records import Status
 from sim.scene import Laser, Pose, Scene, head_pose, rotation, sheet_pose, target_pose
 from sim.truth import StripeTruth, project, sheet_of, slice_visibility, stripe_truth
 from sim.truth.sheet import bow_of, quarter, sheet_plane
-from sim.truth.surfaces import clipped
+from sim.truth.surfaces import clip
 from sim.truth.visibility import fan_angle, passing_mm
 from sim.water import refractive_index
 
@@ -244,7 +244,7 @@ def test_a_fan_wider_than_the_window_lets_out_is_refused():
 def test_pieces_are_clipped_at_every_edge():
     comb = np.array([[0, 0], [5, 0], [5, 2], [4, 2], [4, 1], [1, 1], [1, 2], [0, 2.0]])
     pieces = np.array([[[-1, 1.5], [6, 1.5]], [[2, 0.5], [3, 0.5]], [[2, 3], [3, 3.0]]])
-    found = clipped(pieces, comb)
+    found = clip(pieces, comb)
     assert found.shape == (3, 2, 2)
     assert found[:2, :, 0] == pytest.approx(np.array([[0, 1], [4, 5]]), abs=1e-12)
     assert np.array_equal(found[2], pieces[1])

@@ -11,7 +11,7 @@ from lscan.records import Status
 from sim.scene import Scene, head_pose, target_pose
 from sim.truth import StripeTruth, project, stripe_truth
 from sim.truth.section import surfaces_of
-from sim.truth.stripe import _joined, row_positions_mm, standing_truth
+from sim.truth.stripe import _join_rows, row_positions_mm, standing_truth
 
 HEIGHT = 480
 
@@ -125,7 +125,7 @@ def test_a_line_that_is_never_where_the_shutter_is_does_not_show():
     for late, status in ((5.0, Status.OK), (25.0, Status.NO_PEAK)):
         # The line comes up when the shutter has gone on by ``late`` rows; it moves 10 a step.
         rows = row + late + np.array([-20.0, -10.0, 0.0])
-        joined = _joined([before, before, still], rows)
+        joined = _join_rows([before, before, still], rows)
         assert joined.status[column] == status
         assert np.isfinite(joined.centre_px[column]) == (status == Status.OK)
         assert joined.lit[column] == (status == Status.OK)

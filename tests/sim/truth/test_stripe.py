@@ -18,9 +18,9 @@ from sim.scene import Pose, Scene, head_pose, rotation, target_pose
 from sim.truth import StripeTruth, project, slice_visibility, stripe_truth, stripe_truths
 from sim.truth.camera import entry_points
 from sim.truth.section import grooved_block_surfaces, surfaces_of, target_surfaces
-from sim.truth.stripe import ColumnCrossings, continued, edge_distance
+from sim.truth.stripe import ColumnCrossings, edge_distance, is_continued
 from sim.truth.surfaces import SELF_MM, Mesh
-from sim.truth.visibility import blocked, fan_angle, passing_mm
+from sim.truth.visibility import fan_angle, is_blocked, passing_mm
 
 FEW = settings(max_examples=10)
 LOW = {"camera_mm": [75.0, -700.0, 180.0], "depression_deg": 15.0}
@@ -306,7 +306,7 @@ def test_polygons_hide_what_their_mesh_hides(seed):
     pose = target_pose(scene)
     start = rng.uniform([-300, -300, -100], [300, 300, 200], (300, 3))
     end = rng.uniform([-150, -80, -100], [150, 80, 0], (300, 3))
-    ours = blocked(grooved_block_surfaces(GroovedBlock(), pose), start, end)
+    ours = is_blocked(grooved_block_surfaces(GroovedBlock(), pose), start, end)
     assert np.array_equal(ours, Mesh(block_mesh(GroovedBlock(), pose)).blocks(start, end))
     assert 30 < ours.sum() < 300
 
@@ -416,7 +416,7 @@ def test_a_line_that_folds_over_jumps():
         face=np.zeros(4, dtype=int),
         chain=np.zeros(4, dtype=int),
     )
-    continues = continued(folded, np.arange(4), np.full(4, int(Status.OK)))
+    continues = is_continued(folded, np.arange(4), np.full(4, int(Status.OK)))
     assert continues.tolist() == [True, False, True, False]
 
 

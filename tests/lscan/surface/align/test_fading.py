@@ -12,10 +12,10 @@ from lscan.records import Floats
 from lscan.stripe.blurredstep import (
     ROUNDS,
     SETTLED_MM,
-    _advanced,
-    _modelled,
+    _next_state,
     _Prior,
     _solve,
+    _step_model,
     _StepState,
     _within_bounds,
 )
@@ -120,8 +120,8 @@ def test_a_search_ends_with_a_step_of_zero(monkeypatch: pytest.MonkeyPatch) -> N
     went, and searches ran to their last round, moving by ever smaller shares of it."""
     rounds: list[int] = []
     monkeypatch.setattr(
-        "lscan.stripe.blurredstep._advanced",
-        lambda *args: (rounds.append(1), _advanced(*args))[1],
+        "lscan.stripe.blurredstep._next_state",
+        lambda *args: (rounds.append(1), _next_state(*args))[1],
     )
     for seed in range(10):
         edge = faces(0.0, 0.0, 0.867, 0.4, 0.15, seed)
@@ -161,7 +161,7 @@ def test_samples_that_do_not_count_are_as_if_they_were_not_there() -> None:
     steps = []
     for used, weight in ((order, counts), (order[counts > 0], counts[counts > 0])):
         t = depth[:, used] / WIDTH_MM
-        model = _modelled(replace(samples, brightness=brightness), state, used, t)
+        model = _step_model(replace(samples, brightness=brightness), state, used, t)
         steps.append(_solve(model, state, weight, 0.02, prior))
     with_them, without = steps
     np.testing.assert_allclose(with_them.step, without.step, rtol=1e-9, atol=1e-12)
