@@ -31,8 +31,13 @@ from sim.studies.problem import BASE, Design, Output, alone, columns, make_desig
 from sim.studies.results import joined, runs_of, write_results
 from sim.studies.rig.prepared import Prepared
 from sim.studies.rig.states import check_keys
-from sim.studies.run.executor import require_at_most
-from sim.studies.run.running import RigSource, StudyOptions, StudyRunning, prepared_of
+from sim.studies.run.running import (
+    RigSource,
+    StudyOptions,
+    StudyRunning,
+    prepared_of,
+    require_at_most,
+)
 from sim.studies.run.store import (
     Results,
     ResultStore,

@@ -1,13 +1,10 @@
 """Rows evaluated anywhere: the same bytes, nothing twice, failures told, whatever is killed."""
 
-import asyncio
 import logging
 import os
 import signal
 import sys
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
@@ -16,30 +13,20 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from distributed import Client, LocalCluster, Security
-from distributed.core import connect
+from distributed import Client, LocalCluster
 
 from lscan.errors import InputError, LscanError
 from lscan.records import Floats
 from sim.studies.run.executor import (
     KILLED,
-    TARGET_S,
-    Batches,
-    cost_estimate,
+    Cluster,
+    Workers,
     in_order,
-    open_client,
-    run_rows,
-)
-from sim.studies.run.running import prepared_of
-from sim.studies.run.store import (
-    OK,
-    Results,
-    ResultStore,
-    distinct,
-    identity_of,
-    open_store,
+    open_workers,
     package_versions,
 )
+from sim.studies.run.running import TARGET_S, Batches, cost_estimate, prepared_of, run_rows
+from sim.studies.run.store import OK, Results, ResultStore, distinct, identity_of, open_store
 from tests.validation.studies.running import (
     ROWS,
     StubSource,
@@ -57,9 +44,9 @@ FAILING = 0.05
 
 
 @pytest.fixture(scope="module")
-def two_workers() -> Iterator[Client]:
-    with open_client(2) as client:
-        yield client
+def two_workers() -> Iterator[Workers]:
+    with open_workers(2) as workers:
+        yield workers
 
 
 @pytest.fixture
@@ -69,7 +56,7 @@ def source(tmp_path: Path) -> StubSource:
 
 
 @pytest.fixture(scope="module")
-def in_threads() -> Iterator[Client]:
+def in_threads() -> Iterator[Cluster]:
     """A cluster as another's is: reached by its address, though it is in this process."""
     with (
         LocalCluster(
@@ -77,7 +64,7 @@ def in_threads() -> Iterator[Client]:
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
-        yield client
+        yield Cluster(client)
 
 
 def opened(source: StubSource, folder: Path) -> ResultStore:
@@ -87,11 +74,11 @@ def opened(source: StubSource, folder: Path) -> ResultStore:
 def in_one_process(source: StubSource, rows: Floats, folder: Path) -> Results:
     quiet = StubSource(failing=source.failing)
     with open_store(folder / "alone", identity_of(quiet)) as store:
-        return run_rows(quiet, rows, store, "none")
+        return run_rows(quiet, rows, store)
 
 
 def test_results_do_not_depend_on_the_workers(
-    source: StubSource, tmp_path: Path, two_workers: Client
+    source: StubSource, tmp_path: Path, two_workers: Workers
 ) -> None:
     rows = stub_rows(300)
     steps: list[tuple[int, int]] = []
@@ -119,8 +106,8 @@ def test_a_design_that_grows_evaluates_what_is_new_alone(
 ) -> None:
     rows = stub_rows(40)
     with opened(source, tmp_path) as store:
-        run_rows(source, rows[:25], store, "none")
-        found = run_rows(source, rows[::-1], store, "none")
+        run_rows(source, rows[:25], store)
+        found = run_rows(source, rows[::-1], store)
     assert result_bytes(found) == result_bytes(in_one_process(source, rows[::-1], tmp_path))
     assert len(evaluated(source)) == len(distinct(rows))
 
@@ -130,7 +117,7 @@ def test_a_row_that_fails_has_a_status_and_a_fault_is_logged_once(
 ) -> None:
     rows = np.column_stack([np.linspace(0.0, 0.1, 41), np.full((41, 2), 0.5)])
     with opened(source, tmp_path) as store, caplog.at_level(logging.ERROR):
-        found = run_rows(source, rows, store, "none")
+        found = run_rows(source, rows, store)
     assert found.status[0] == "no line at 0.000000"
     assert found.status[12] == "error: ZeroDivisionError: at 0.030000"
     assert found.status[20:] == (OK,) * 21
@@ -154,12 +141,12 @@ def test_values_of_another_number_than_the_outputs_are_a_status(tmp_path: Path) 
 
     source = ShortSource()
     with open_store(tmp_path, identity_of(source)) as store:
-        found = run_rows(source, np.zeros((1, 1)), store, "none")
+        found = run_rows(source, np.zeros((1, 1)), store)
     assert found.status == ("error: ValueError: errors of shape (1,) instead of (5,)",)
 
 
 @pytest.mark.slow
-def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers: Client) -> None:
+def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers: Workers) -> None:
     source = StubSource(killing=0.98)
     rows = np.column_stack([np.linspace(0.0, 0.9, 8), np.full((8, 2), 0.5)])
     rows[5, 0] = 0.99
@@ -216,9 +203,9 @@ def test_a_design_that_is_larger_than_agreed_is_refused(source: StubSource, tmp_
     rows = stub_rows(20)
     with opened(source, tmp_path) as store:
         with pytest.raises(InputError, match=r"--at-most: too many runs \(got 19; allowed: 18\)"):
-            run_rows(source, rows, store, "none", at_most=18)
+            run_rows(source, rows, store, at_most=18)
         assert not evaluated(source)
-        run_rows(source, rows, store, "none", at_most=19)
+        run_rows(source, rows, store, at_most=19)
 
 
 def test_a_cost_estimate_is_that_of_what_is_left(tmp_path: Path) -> None:
@@ -230,7 +217,7 @@ def test_a_cost_estimate_is_that_of_what_is_left(tmp_path: Path) -> None:
         assert cost.rows == 29 - len(store) == 29 - len(evaluated(source))
         assert cost.row_s >= 0.02
         assert cost.seconds >= cost.rows * cost.row_s / 2
-        run_rows(source, rows, store, "none")
+        run_rows(source, rows, store)
         assert cost_estimate(source, rows, store).seconds == 0
     assert len(evaluated(source)) == 29
 
@@ -262,17 +249,23 @@ def test_what_is_killed_is_gone_on_with(tmp_path: Path, what: str, part: float) 
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_the_store_sound_and_no_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_what_ends_a_study_leaves_the_store_sound_and_no_process(
+    tmp_path: Path, sent: signal.Signals
+) -> None:
     source = StubSource(row_s=0.02, log=str(tmp_path / "log"))
     study = started_study(source, tmp_path / "store", 5000, "2")
     deadline_s = time.monotonic() + 60
     while len(evaluated(source)) < 50 and time.monotonic() < deadline_s:
         time.sleep(0.05)
     children = psutil.Process(study.pid).children(recursive=True)
-    os.killpg(study.pid, signal.SIGINT)  # as a terminal does: to the workers, too
+    if sent == signal.SIGINT:  # as a terminal does: to the workers, too
+        os.killpg(study.pid, sent)
+    else:
+        os.kill(study.pid, sent)
     said, wrong = study.communicate(timeout=60)
-    assert study.returncode == 3, wrong
-    assert said.strip().endswith("go on with --resume")
+    assert study.returncode == (-sent if sent == signal.SIGKILL else 3), wrong
+    assert sent == signal.SIGKILL or said.strip().endswith("go on with --resume")
     assert not wrong
     assert psutil.wait_procs(children, timeout=10)[1] == []
     with opened(source, tmp_path) as store:
@@ -299,7 +292,7 @@ def test_a_ctrl_c_that_a_destructor_swallows_ends_the_study(
 
     source = StubSource()
     with opened(source, tmp_path) as store, pytest.raises(KeyboardInterrupt):
-        run_rows(source, stub_rows(200), store, "none", progress=swallowed)
+        run_rows(source, stub_rows(200), store, progress=swallowed)
     assert len(told) == 1 and len(done) == 2
 
 
@@ -315,51 +308,36 @@ def test_another_scheduler_works_and_its_end_is_told(tmp_path: Path) -> None:
         found = stub_study(source, tmp_path / "store", 40, address)
         expected = in_one_process(source, stub_rows(40), tmp_path)
         assert result_bytes(found) == result_bytes(expected)
-        with open_client(scheduler=address) as client:
+        with open_workers(scheduler=address) as workers:
             slow = StubSource(row_s=0.05)
             with (
                 pytest.raises(LscanError, match=r"the scheduler at .* is gone") as caught,
                 opened(slow, tmp_path / "slow") as store,
             ):
-                run_rows(slow, stub_rows(500), store, client, progress=end_at_20)
+                run_rows(slow, stub_rows(500), store, workers, progress=end_at_20)
     assert "go on with --resume" in caught.value.__notes__[0]
 
 
-def test_the_workers_of_a_study_answer_nobody_else(two_workers: Client) -> None:
-    """Whoever is answered can have any code run: neither plain TCP is, nor any other key."""
-    workers = two_workers.scheduler_info()["workers"]
-    nannies = [worker["nanny"] for worker in workers.values()]
-    stranger = Security.temporary().get_connection_args("client")
-
-    async def ask(address: str, **how: object) -> None:
-        comm = await connect(address, timeout=2, **how)
-        await comm.write({"op": "identity", "reply": True})
-        await comm.read()
-
-    own = two_workers.security.get_connection_args("client")
-    for address in (two_workers.scheduler.address, *workers, *nannies):
-        asyncio.run(ask(address, **own))
-        with pytest.raises(OSError):
-            asyncio.run(ask(address, **stranger))
-        with pytest.raises(OSError):
-            asyncio.run(ask(address.replace("tls://", "tcp://")))
-    port = two_workers.scheduler_info()["services"]["dashboard"]
-    for page in ("health", "info/main/workers.html", "metrics"):
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=5)
+def test_the_workers_of_a_study_answer_nobody_else(two_workers: Workers) -> None:
+    """Whoever is answered can have any code run: they have no socket at all."""
+    worker = psutil.Process(two_workers.submit(os.getpid).result())
+    assert worker in psutil.Process().children()
+    assert worker.net_connections("all") == []
 
 
 @pytest.mark.parametrize("name", ["lscan", "mitsuba", "drjit", "opencv", "numpy", "scipy"])
 def test_a_worker_of_another_version_is_refused_before_its_first_row(
     source: StubSource,
     tmp_path: Path,
-    in_threads: Client,
+    in_threads: Cluster,
     monkeypatch: pytest.MonkeyPatch,
     name: str,
 ) -> None:
-    newer = {**package_versions(), name: "99.0"}
-    monkeypatch.setattr("sim.studies.run.executor.package_versions", lambda: newer)
-    (address,) = in_threads.nthreads()
+    mine = iter([{**package_versions(), name: "99.0"}])  # the workers are asked later
+    monkeypatch.setattr(
+        "sim.studies.run.executor.package_versions", lambda: next(mine, package_versions())
+    )
+    (address,) = in_threads.client.nthreads()
     told = f"the worker at {address}: has another version of {name} .got .*; allowed: 99.0, as here"
     with opened(source, tmp_path) as store, pytest.raises(InputError, match=told):
         run_rows(source, stub_rows(20), store, in_threads)
@@ -367,29 +345,26 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
 
 
 def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
-    in_threads: Client, monkeypatch: pytest.MonkeyPatch
+    in_threads: Cluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sim.studies.run.executor.__version__", "99.0")
     told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
     with (
         pytest.raises(InputError, match=told),
-        open_client(scheduler=in_threads.scheduler.address),
+        open_workers(scheduler=in_threads.client.scheduler.address),
     ):
         pass
 
 
-class OnAnotherDisk(list[Path]):
+def on_another_disk(link: Path) -> Iterator[Path]:
     """What is done, by workers that see another folder at a path, as if it were another disk."""
-
-    def __iter__(self) -> Iterator[Path]:
-        link = self[0]
-        link.unlink()
-        link.symlink_to(link.with_name("theirs"))
-        return super().__iter__()
+    link.unlink()
+    link.symlink_to(link.with_name("theirs"))
+    yield link
 
 
 def test_a_worker_with_another_disk_of_the_same_name_is_refused(
-    tmp_path: Path, in_threads: Client
+    tmp_path: Path, in_threads: Cluster
 ) -> None:
     for name in ("ours", "theirs"):
         (tmp_path / name).mkdir()
@@ -398,7 +373,7 @@ def test_a_worker_with_another_disk_of_the_same_name_is_refused(
     assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
     told = r"the worker at .* has another folder of the same name .got '/.*/shared'"
     with pytest.raises(InputError, match=told):
-        list(in_order(in_threads, Path.touch, OnAnotherDisk([folder]), str, folder=folder))
+        list(in_order(in_threads, Path.touch, on_another_disk(folder), str, folder=folder))
     assert list((tmp_path / "theirs").iterdir()) == []
     folder.unlink()
     folder.symlink_to(tmp_path / "ours")
@@ -407,7 +382,7 @@ def test_a_worker_with_another_disk_of_the_same_name_is_refused(
 
 
 def test_a_worker_with_another_file_of_the_same_name_is_refused(
-    tmp_path: Path, in_threads: Client
+    tmp_path: Path, in_threads: Cluster
 ) -> None:
     mesh = tmp_path / "mesh.stl"
     for content, told in ((b"theirs", "has another file"), (None, "or none")):
@@ -422,7 +397,7 @@ def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim.studies.run.executor.CONNECT_S", 0.5)
     with (
         pytest.raises(InputError, match="--scheduler: no scheduler answers"),
-        open_client(scheduler="tcp://127.0.0.1:1"),
+        open_workers(scheduler="tcp://127.0.0.1:1"),
     ):
         pass
 
