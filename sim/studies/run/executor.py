@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain, islice
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Literal, TypeVar
@@ -256,91 +257,92 @@ _ONE_EACH = _ONE_THREAD | {THREADS: "1"}
 _log = logging.getLogger(__name__)
 
 
+@dataclass(frozen=True)
 class Workers:
-    """This process, which calls each function when it is given it.
+    """Those that call functions.
 
     Attributes
     ----------
+    submit : callable, of a function and its arguments; gives the future of what it gives
+    most : callable, how many calls are to be under way
     died : type, what a call raises whose worker was killed
     attempts : int, that a worker's death ends before a call is given up, the last of them alone
+    failure : callable, of an error that a call raised, what ends the work
+    elsewhere : bool, whether they may have other disks than this process
     """
 
+    submit: Callable[..., Future[Any]]
+    most: Callable[[], int] = lambda: 1
     died: type[Exception] = BrokenProcessPool
-    attempts = 2
-
-    @property
-    def most(self) -> int:
-        """How many calls are to be under way."""
-        return 1
-
-    def submit(self, function: Callable[..., Found], *arguments: Any) -> "Future[Found]":
-        """What a function will give.
-
-        Parameters
-        ----------
-        function : callable, of the arguments
-        arguments : of any kind that can be sent to it
-        """
-        future: Future[Found] = Future()
-        future.set_result(function(*arguments))
-        return future
-
-    def failure(self, error: Exception) -> Exception:
-        """What ends the work where a call raises an error.
-
-        Parameters
-        ----------
-        error : Exception
-        """
-        return error
-
-    def close(self) -> None:
-        """End all of its processes."""
+    attempts: int = 2
+    failure: Callable[[Exception], Exception] = lambda error: error
+    elsewhere: bool = False
 
 
-class Processes(Workers):
-    """Processes of this machine, begun when they are needed; those that are killed, anew.
+def _call_here(function: Callable[..., Found], *arguments: Any) -> Future[Found]:
+    future: Future[Found] = Future()
+    future.set_result(function(*arguments))
+    return future
+
+
+THIS_PROCESS = Workers(_call_here)
+
+
+@contextmanager
+def open_workers(
+    workers: int | Literal["none"] = 2, scheduler: str | None = None
+) -> Iterator[Workers]:
+    """Workers that end with the block, or those of a cluster, which it leaves.
 
     Parameters
     ----------
-    count : int
+    workers : int, processes of this machine; "none": this one alone
+    scheduler : str or None, address of the scheduler of a cluster, such as "tcp://cluster:8786";
+        it and its workers can have any code run here and there, and so can whoever else reaches
+        them
+
+    Raises
+    ------
+    InputError
+        No scheduler answers at the address, it has no workers, or one has another lscan.
     """
+    if workers == "none":
+        yield THIS_PROCESS
+    elif scheduler is None:
+        with _processes(workers) as opened:
+            yield opened
+    else:
+        with _cluster(scheduler) as opened:
+            yield opened
 
-    attempts = 3  # the death of one ends what all of them were doing
 
-    def __init__(self, count: int) -> None:
-        self._count, self._children = count, set[multiprocessing.process.BaseProcess]()
-        self._environment = _ONE_EACH if count >= cores() else _ONE_THREAD
-        self._pools: list[ProcessPoolExecutor] = []  # the last is at work, those before are broken
+@contextmanager
+def _processes(count: int) -> Iterator[Workers]:
+    """Processes of this machine, begun when they are needed; where one is killed, all anew."""
+    require_guarded_main()
+    environment = _ONE_EACH if count >= cores() else _ONE_THREAD
+    pools: list[ProcessPoolExecutor] = []  # the last is at work, those before are broken
+    children: set[BaseProcess] = set()
 
-    @property
-    def most(self) -> int:
-        """How many calls are to be under way."""
-        return AHEAD * self._count
-
-    def submit(self, function: Callable[..., Found], *arguments: Any) -> "Future[Found]":
-        """What a function will give, called by the next process that has time."""
+    def submit(function: Callable[..., Found], *arguments: Any) -> Future[Found]:
         before = set(multiprocessing.active_children())
         try:
-            with _environment_of_children(self._environment):
-                return self._pools[-1].submit(function, *arguments)
+            with _environment_of_children(environment):
+                return pools[-1].submit(function, *arguments)
         except (IndexError, BrokenProcessPool):
             # None is forked: threads of OpenCV and BLAS may hold locks.
             spawn = multiprocessing.get_context("spawn")
-            self._pools.append(ProcessPoolExecutor(self._count, spawn, _end_with_parent))
-            return self.submit(function, *arguments)
+            pools.append(ProcessPoolExecutor(count, spawn, _end_with_parent))
+            return submit(function, *arguments)
         finally:
-            self._children |= set(multiprocessing.active_children()) - before
+            children.update(set(multiprocessing.active_children()) - before)
 
-    def failure(self, error: Exception) -> Exception:
-        """What ends the work where a call raises an error."""
-        return _unable(error)
-
-    def close(self) -> None:
-        """End all of its processes, whatever they do: what is done has been handed over."""
-        for child in self._children:
+    try:
+        yield Workers(submit, lambda: AHEAD * count, attempts=3, failure=_unable)
+    finally:
+        for child in children:  # whatever they do: what is done has been handed over
             child.kill()
-        for pool in self._pools:
+        for pool in pools:
             # Python before 3.11.5 waits for what it is sending to a process that is gone.
             pool._call_queue._reader.close()  # type: ignore[attr-defined]
             pool.shutdown(cancel_futures=True)
@@ -375,117 +377,68 @@ def _environment_of_children(variables: Mapping[str, str]) -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-class Cluster(Workers):
-    """The workers of a Dask cluster, as many as it has when it is asked.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    """
-
-    def __init__(self, client: "Client") -> None:
-        from distributed import KilledWorker
-
-        self.died = KilledWorker
-        self.client, self._executor = client, client.get_executor(pure=False)
-        self._most, self._counted_s = 0, -np.inf
-
-    @property
-    def most(self) -> int:
-        """How many calls are to be under way."""
-        if time.monotonic() - self._counted_s > RECOUNT_S:
-            self._most = AHEAD * max(len(self.client.nthreads()), 1)
-            self._counted_s = time.monotonic()
-        return self._most
-
-    def submit(self, function: Callable[..., Found], *arguments: Any) -> "Future[Found]":
-        """What a function will give, called by one of the workers."""
-        future: Future[Found] = self._executor.submit(function, *arguments)
-        return future
-
-    def failure(self, error: Exception) -> Exception:
-        """What ends the work where a call raises an error: it may be the scheduler that ended."""
-        from distributed.comm import CommClosedError
-
-        if isinstance(error, CancelledError | CommClosedError | TimeoutError):
-            return LscanError(f"the scheduler at {self.client.scheduler.address} is gone")
-        self.require_versions()
-        return _unable(error)
-
-    def require_versions(self) -> None:
-        """Refuse workers of another lscan, which may not know how to see to it themselves.
-
-        Raises
-        ------
-        InputError
-            Names the worker and its version.
-        """
-        told = self.client.run(resolve_name, "lscan.version:__version__", on_error="return")
-        for address, found in told.items():
-            if found != __version__ and not isinstance(found, OSError):  # one that is gone
-                where, allowed = f"the worker at {address}", f"{__version__}, as here"
-                what = "has another version of lscan"
-                raise InputError(what, where=where, value=str(found), allowed=allowed)
-
-    def close(self) -> None:
-        """Leave the cluster; its processes are its owner's."""
-        with suppress(TimeoutError, OSError):
-            self.client.close(timeout=CLOSE_S)
-
-
-def _unable(error: Exception) -> LscanError:
-    text = " ".join(f"{type(error).__name__}: {error}".split())
-    return LscanError(f"a worker cannot evaluate any row: {text}")
-
-
 @contextmanager
-def open_workers(
-    workers: int | Literal["none"] = 2, scheduler: str | None = None
-) -> Iterator[Workers]:
-    """Workers that end with the block, or those of a cluster, which it leaves.
-
-    Parameters
-    ----------
-    workers : int, processes of this machine; "none": this one alone
-    scheduler : str or None, address of the scheduler of a cluster, such as "tcp://cluster:8786";
-        it and its workers can have any code run here and there, and so can whoever else reaches
-        them
-
-    Raises
-    ------
-    InputError
-        No scheduler answers at the address, it has no workers, or one has another lscan.
-    """
-    if workers == "none":
-        opened = Workers()
-    elif scheduler is not None:
-        opened = _cluster(scheduler)
-    else:
-        require_guarded_main()
-        opened = Processes(workers)
-    try:
-        yield opened
-    finally:
-        opened.close()
-
-
-def _cluster(scheduler: str) -> Cluster:
+def _cluster(scheduler: str) -> Iterator[Workers]:
     from distributed import Client  # takes a second to import
 
     try:
         client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError("no scheduler answers", where="--scheduler", value=scheduler) from error
-    cluster = Cluster(client)
     try:
-        client.wait_for_workers(1, timeout=CONNECT_S)
-        cluster.require_versions()
-    except BaseException as error:
-        cluster.close()
-        if isinstance(error, TimeoutError):
+        try:
+            client.wait_for_workers(1, timeout=CONNECT_S)
+        except TimeoutError as error:
             raise InputError("has no workers", where=f"--scheduler {scheduler}") from error
-        raise
-    return cluster
+        _require_versions(client)
+        yield workers_of(client)
+    finally:
+        with suppress(TimeoutError, OSError):
+            client.close(timeout=CLOSE_S)
+
+
+def workers_of(client: "Client") -> Workers:
+    """The workers of a Dask cluster, as many as it has when it is asked.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+    from distributed import KilledWorker
+    from distributed.comm import CommClosedError
+
+    @lru_cache(1)
+    def most_at(moment: int) -> int:
+        return AHEAD * max(len(client.nthreads()), 1)
+
+    def failure(error: Exception) -> Exception:
+        if isinstance(error, CancelledError | CommClosedError | TimeoutError):
+            return LscanError(f"the scheduler at {client.scheduler.address} is gone")
+        _require_versions(client)
+        return _unable(error)
+
+    return Workers(
+        client.get_executor(pure=False).submit,
+        lambda: most_at(int(time.monotonic() / RECOUNT_S)),
+        died=KilledWorker,
+        failure=failure,
+        elsewhere=True,
+    )
+
+
+def _require_versions(client: "Client") -> None:
+    """Refuse workers of another lscan, which may not know how to see to it themselves."""
+    told = client.run(resolve_name, "lscan.version:__version__", on_error="return")
+    for address, found in told.items():
+        if found != __version__ and not isinstance(found, OSError):  # one that is gone
+            where, allowed = f"the worker at {address}", f"{__version__}, as here"
+            what = "has another version of lscan"
+            raise InputError(what, where=where, value=str(found), allowed=allowed)
+
+
+def _unable(error: Exception) -> LscanError:
+    text = " ".join(f"{type(error).__name__}: {error}".split())
+    return LscanError(f"a worker cannot evaluate any row: {text}")
 
 
 # Many calls of one function, however many workers there are and whatever becomes of them.
@@ -523,38 +476,45 @@ def calls_done(
         The scheduler is gone, or a worker cannot call the function.
     """
     waiting, suspects = iter(of), list[Item]()
-    elsewhere = folder if isinstance(workers, Cluster) else None
-    with _in_common(files or {}, elsewhere) as common, _errors_told(workers):
-        submit = partial(workers.submit, _call_in_common, common, function)
-        while True:
-            yield from _done_side_by_side(workers, submit, waiting, suspects)
-            if not suspects:
-                return
-            for _ in range(workers.attempts - 2):
-                _log.warning("a worker was killed: %d calls are tried again", len(suspects))
-                again, suspects = iter(suspects), []
-                yield from _done_side_by_side(workers, submit, again, suspects)
-                suspects += again
-            for item in chain.from_iterable(map(apart, suspects)):
-                found: Found | None = None
-                try:
-                    found = submit(item).result()
-                except workers.died:  # where nothing at all can be done, no item is to blame
-                    workers.submit(os.getpid).result()
-                yield [(item, found)]
-            suspects.clear()
+    try:
+        with _in_common(files or {}, folder if workers.elsewhere else None) as common:
+            submit = partial(workers.submit, _call_in_common, common, function)
+            while True:
+                yield from _done_side_by_side(workers, submit, waiting, suspects)
+                if not suspects:
+                    return
+                for _ in range(workers.attempts - 2):
+                    _log.warning("a worker was killed: %d calls are tried again", len(suspects))
+                    again, suspects = iter(suspects), []
+                    yield from _done_side_by_side(workers, submit, again, suspects)
+                    suspects += again
+                for item in chain.from_iterable(map(apart, suspects)):
+                    found: Found | None = None
+                    try:
+                        found = submit(item).result()
+                    except workers.died:  # where nothing at all can be done, no item is to blame
+                        workers.submit(os.getpid).result()
+                    yield [(item, found)]
+                suspects.clear()
+    except LscanError:
+        raise
+    except Exception as error:  # whatever it is, it was raised by no item
+        told = workers.failure(error)  # in one line
+        if told is error:
+            raise
+        raise told from error
 
 
 def _done_side_by_side(
     workers: Workers,
-    submit: Callable[[Item], "Future[Found]"],
+    submit: Callable[[Item], Future[Found]],
     waiting: Iterator[Item],
     suspects: list[Item],
 ) -> Iterator[list[tuple[Item, Found | None]]]:
     """What is done until all is, or a worker is killed: then what was under way is suspect."""
     under_way: dict[Future[Found], Item] = {}
     while True:
-        for item in islice(waiting, 0 if suspects else workers.most - len(under_way)):
+        for item in islice(waiting, 0 if suspects else workers.most() - len(under_way)):
             under_way[submit(item)] = item
         if not under_way:
             return
@@ -605,17 +565,3 @@ def in_order(
 
 def _numbered(function: Callable[[Item], Found], numbered: tuple[int, Item]) -> Found:
     return function(numbered[1])
-
-
-@contextmanager
-def _errors_told(workers: Workers) -> Iterator[None]:
-    """Tell in one line what ends the work."""
-    try:
-        yield
-    except LscanError:
-        raise
-    except Exception as error:  # whatever it is, it was raised by no row
-        told = workers.failure(error)
-        if told is error:
-            raise
-        raise told from error

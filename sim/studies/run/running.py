@@ -3,7 +3,7 @@
 import hashlib
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -22,7 +22,7 @@ from lscan.version import __version__
 from sim.scene import Scene, scene_of
 from sim.studies.rig.evaluation import GeometricRig, RenderedRig
 from sim.studies.rig.prepared import MOST_PREPARED_BYTES, Prepared, prepare
-from sim.studies.run.executor import KILLED, Workers, calls_done, open_workers
+from sim.studies.run.executor import KILLED, THIS_PROCESS, Workers, calls_done, open_workers
 from sim.studies.run.store import (
     Batch,
     ProblemSource,
@@ -243,7 +243,7 @@ def run_rows(
     source: ProblemSource,
     rows: Floats,
     store: ResultStore,
-    workers: Workers | None = None,
+    workers: Workers = THIS_PROCESS,
     progress: Progress | None = None,
     at_most: int | None = None,
 ) -> Results:
@@ -258,7 +258,7 @@ def run_rows(
     source : ProblemSource
     rows : (N, D) array, of a design
     store : ResultStore, of the source's identity
-    workers : Workers or None, which is this process
+    workers : Workers, optional
     progress : Progress or None, called with (done, all) distinct rows
     at_most : int or None, the most distinct rows that the design may have
 
@@ -276,7 +276,8 @@ def run_rows(
     logged: set[str] = set()
     batches, evaluate = Batches(missing), partial(evaluate_rows, source, store.identity.sha256)
     files = named_files(dict(source.document))
-    stream = calls_done(workers or Workers(), evaluate, batches, _each_row, files=files)
+    # Each row of a batch that kills its worker is tried as a batch of its own.
+    stream = calls_done(workers, evaluate, batches, lambda batch: batch[:, None], files=files)
     stops: list[bool] = []
 
     def stop() -> None:
@@ -296,11 +297,6 @@ def run_rows(
             if stops:  # raised in a destructor, of which Python tells nobody
                 raise KeyboardInterrupt
     return store.results(rows)
-
-
-def _each_row(rows: Floats) -> Iterable[Floats]:
-    """Each row of a batch, as a batch of its own."""
-    return rows[:, None]
 
 
 def _killed(row: Floats) -> Batch:

@@ -18,7 +18,6 @@ import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from errno import EACCES, ENOSPC, EROFS
 from pathlib import Path
 from typing import Any, Final, Protocol, Self
 
@@ -26,7 +25,7 @@ import numpy as np
 
 from lscan.config.documents import by_content
 from lscan.errors import DiskError, InputError, LscanError
-from lscan.files.disk import REMEDIES, disk_errors
+from lscan.files.disk import disk_errors
 from lscan.records import Floats
 from lscan.version import __version__
 from sim.studies.problem import Output, StudyProblem, width
@@ -41,12 +40,7 @@ TABLE = """CREATE TABLE IF NOT EXISTS results
 """
 # The folder is locked: without others there is no need of shared memory, which networks have not.
 SETTINGS = "locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = FULL"
-_REMEDIES = {
-    sqlite3.SQLITE_FULL: REMEDIES[ENOSPC],
-    sqlite3.SQLITE_IOERR: "check the disk, its quota and the limit for the size of files",
-    sqlite3.SQLITE_READONLY: REMEDIES[EROFS],
-    sqlite3.SQLITE_CANTOPEN: REMEDIES[EACCES],
-}
+_FULL_OR_FAILED = sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR
 
 _log = logging.getLogger(__name__)
 
@@ -114,10 +108,6 @@ class Batch:
     results: Results
     seconds: float
     traces: Mapping[str, str] = field(default_factory=dict)
-
-    def each(self) -> Iterator[tuple[Floats, Floats, str]]:
-        """Each row, its values and its status."""
-        return zip(self.rows, self.results.values, self.results.status, strict=True)
 
 
 def canonical(rows: Floats) -> Floats:
@@ -200,10 +190,12 @@ class ResultStore:
             The disk refuses; what was kept before stays whole.
         """
         with _database_errors(self.folder), self.database:
-            for row, values, status in (one for batch in batches for one in batch.each()):
-                content = row.tobytes(), status, values.astype("<f8").tobytes()
-                written = *content, _checksum(*content)
-                self.database.execute("REPLACE INTO results VALUES (?, ?, ?, ?)", written)
+            for batch in batches:
+                found = batch.results
+                for row, values, status in zip(batch.rows, found.values, found.status, strict=True):
+                    content = row.tobytes(), status, values.astype("<f8").tobytes()
+                    written = *content, _checksum(*content)
+                    self.database.execute("REPLACE INTO results VALUES (?, ?, ?, ?)", written)
 
     def results(self, rows: Floats) -> Results:
         """What became of rows that all have a result.
@@ -293,9 +285,9 @@ def _database_errors(folder: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.DatabaseError as error:
-        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-        kind = DiskError if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR) else InputError
-        remedy = _REMEDIES.get(code, "choose another folder")
+        kind, remedy = InputError, "make its folder writable, or choose another folder"
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF in _FULL_OR_FAILED:
+            kind, remedy = DiskError, "make room on the disk; check it, its quota and ulimit -f"
         raise kind(f"{error}; {remedy}", where=folder / RECORDS) from error
 
 

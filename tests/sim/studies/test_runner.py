@@ -19,11 +19,11 @@ from lscan.errors import InputError, LscanError
 from lscan.records import Floats
 from sim.studies.run.executor import (
     KILLED,
-    Cluster,
     Workers,
     in_order,
     open_workers,
     package_versions,
+    workers_of,
 )
 from sim.studies.run.running import TARGET_S, Batches, cost_estimate, prepared_of, run_rows
 from sim.studies.run.store import OK, Results, ResultStore, distinct, identity_of, open_store
@@ -56,7 +56,7 @@ def source(tmp_path: Path) -> StubSource:
 
 
 @pytest.fixture(scope="module")
-def in_threads() -> Iterator[Cluster]:
+def in_threads() -> Iterator[Client]:
     """A cluster as another's is: reached by its address, though it is in this process."""
     with (
         LocalCluster(
@@ -64,7 +64,7 @@ def in_threads() -> Iterator[Cluster]:
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
-        yield Cluster(client)
+        yield client
 
 
 def opened(source: StubSource, folder: Path) -> ResultStore:
@@ -329,7 +329,7 @@ def test_the_workers_of_a_study_answer_nobody_else(two_workers: Workers) -> None
 def test_a_worker_of_another_version_is_refused_before_its_first_row(
     source: StubSource,
     tmp_path: Path,
-    in_threads: Cluster,
+    in_threads: Client,
     monkeypatch: pytest.MonkeyPatch,
     name: str,
 ) -> None:
@@ -337,21 +337,21 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
     monkeypatch.setattr(
         "sim.studies.run.executor.package_versions", lambda: next(mine, package_versions())
     )
-    (address,) = in_threads.client.nthreads()
+    (address,) = in_threads.nthreads()
     told = f"the worker at {address}: has another version of {name} .got .*; allowed: 99.0, as here"
     with opened(source, tmp_path) as store, pytest.raises(InputError, match=told):
-        run_rows(source, stub_rows(20), store, in_threads)
+        run_rows(source, stub_rows(20), store, workers_of(in_threads))
     assert evaluated(source) == []
 
 
 def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
-    in_threads: Cluster, monkeypatch: pytest.MonkeyPatch
+    in_threads: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sim.studies.run.executor.__version__", "99.0")
     told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
     with (
         pytest.raises(InputError, match=told),
-        open_workers(scheduler=in_threads.client.scheduler.address),
+        open_workers(scheduler=in_threads.scheduler.address),
     ):
         pass
 
@@ -364,33 +364,33 @@ def on_another_disk(link: Path) -> Iterator[Path]:
 
 
 def test_a_worker_with_another_disk_of_the_same_name_is_refused(
-    tmp_path: Path, in_threads: Cluster
+    tmp_path: Path, in_threads: Client
 ) -> None:
     for name in ("ours", "theirs"):
         (tmp_path / name).mkdir()
-    folder = tmp_path / "shared"
+    folder, workers = tmp_path / "shared", workers_of(in_threads)
     folder.symlink_to(tmp_path / "ours")
-    assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
+    assert list(in_order(workers, str, [folder], str, folder=folder)) == [str(folder)]
     told = r"the worker at .* has another folder of the same name .got '/.*/shared'"
     with pytest.raises(InputError, match=told):
-        list(in_order(in_threads, Path.touch, on_another_disk(folder), str, folder=folder))
+        list(in_order(workers, Path.touch, on_another_disk(folder), str, folder=folder))
     assert list((tmp_path / "theirs").iterdir()) == []
     folder.unlink()
     folder.symlink_to(tmp_path / "ours")
-    assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
+    assert list(in_order(workers, str, [folder], str, folder=folder)) == [str(folder)]
     assert list(folder.iterdir()) == []  # nor is the marker of the refused call left
 
 
 def test_a_worker_with_another_file_of_the_same_name_is_refused(
-    tmp_path: Path, in_threads: Cluster
+    tmp_path: Path, in_threads: Client
 ) -> None:
-    mesh = tmp_path / "mesh.stl"
+    mesh, workers = tmp_path / "mesh.stl", workers_of(in_threads)
     for content, told in ((b"theirs", "has another file"), (None, "or none")):
         mesh.unlink(missing_ok=True)
         if content is not None:
             mesh.write_bytes(content)
         with pytest.raises(InputError, match=f"the worker at .*{told}.*mesh.stl"):
-            list(in_order(in_threads, str, [1], str, files={str(mesh): "0" * 64}))
+            list(in_order(workers, str, [1], str, files={str(mesh): "0" * 64}))
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -126,7 +126,7 @@ def test_a_bit_that_flips_costs_its_row_alone(
 @pytest.mark.parametrize("content", [b"no database" * 400, b"SQLite format 3\0" * 400])
 def test_a_file_that_is_no_database_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / RECORDS).write_bytes(content)
-    with pytest.raises(InputError, match=rf"{RECORDS}: .*; choose another folder"):
+    with pytest.raises(InputError, match=rf"{RECORDS}: .*choose another folder"):
         open_store(tmp_path, STUDY)
     assert (tmp_path / RECORDS).read_bytes() == content
 
@@ -239,7 +239,7 @@ def test_a_disk_that_is_full_leaves_what_was_kept(tmp_path: Path, refused_by: st
             else:
                 size = (tmp_path / f"{RECORDS}-wal").stat().st_size
                 resource.setrlimit(resource.RLIMIT_FSIZE, (size + 1000, limits[1]))
-            with pytest.raises(DiskError, match=f"{RECORDS}: .*(make room|limit for the size)"):
+            with pytest.raises(DiskError, match=rf"{RECORDS}: .*make room on the disk"):
                 store.append([batch(rows[2:])])
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -256,7 +256,7 @@ def test_what_may_not_be_written_is_told(tmp_path: Path, what: str) -> None:
     place, mode = (tmp_path, 0o500) if what == "folder" else (tmp_path / RECORDS, 0o400)
     place.chmod(mode)
     try:
-        with pytest.raises(InputError, match="make it writable"):
+        with pytest.raises(InputError, match=r"make .* writable"):
             open_store(tmp_path, STUDY)
     finally:
         place.chmod(0o700)
