@@ -388,12 +388,12 @@ def _budget(
 def _cause(
     runs: StudyRuns, name: str, group: str, indices: Indices | None, seed: int
 ) -> CauseBudget:
-    own = indices and indices.groups.get(group)
+    own = indices.groups.get(group) if indices else None
     return CauseBudget(
         cause=group,
         alone_rms=_rms(errors_in(runs, name, alone(group)), seed),
-        first=own and _bounded(*astuple(own.first)),
-        total=own and _bounded(*astuple(own.total)),
+        first=_bounded(*astuple(own.first)) if own else None,
+        total=_bounded(*astuple(own.total)) if own else None,
         sensitivity=_sensitivity(runs, name, group),
     )
 
