@@ -29,7 +29,7 @@ def dataset(
         str | None,
         typer.Option(
             "--scheduler",
-            help="Another Dask cluster that sees the same folder; it trusts all who reach it.",
+            help="A Dask cluster that sees the same folder; it trusts all who reach it.",
         ),
     ] = None,
     processes: Annotated[

@@ -35,7 +35,7 @@ def study(
         str | None,
         typer.Option(
             "--scheduler",
-            help="Another Dask cluster, such as tcp://cluster:8786; it trusts all who reach it.",
+            help="A Dask cluster, such as tcp://cluster:8786; it trusts all who reach it.",
         ),
     ] = None,
     processes: Annotated[

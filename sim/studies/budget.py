@@ -7,7 +7,7 @@ means, the bootstrap-t (sec. 12.5) of squares.
 """
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -348,9 +348,8 @@ def budgets_of(
     }
     whole = []
     for output in runs.outputs:
-        before = found[output.name].__dict__
         if not output.name.endswith(AFTER) or output.name.removesuffix(AFTER) not in found:
-            whole.append(OutputBudget(**before | {"after": found.get(output.name + AFTER)}))
+            whole.append(replace(found[output.name], after=found.get(output.name + AFTER)))
     return tuple(whole)
 
 

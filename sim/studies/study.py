@@ -40,7 +40,7 @@ from sim.studies.run.running import (
 from sim.studies.run.store import (
     Results,
     ResultStore,
-    distinct,
+    distinct_rows,
     identity_of,
     open_store,
     require_same_document,
@@ -166,7 +166,7 @@ def _until_known(running: StudyRunning, tier: Tier) -> _TierRuns:
         grown = next_base(wanted, precision.half_width, base)
         if grown is None or grown > precision.most:
             break
-        if len(distinct(_design(study, grown).rows)) > running.options.at_most:
+        if len(distinct_rows(_design(study, grown).rows)) > running.options.at_most:
             most = running.options.at_most
             running.say(f"{grown} samples would be more than the {most} runs agreed to")
             break

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -288,10 +288,9 @@ def _call_here(function: Callable[..., Found], *arguments: Any) -> Future[Found]
 THIS_PROCESS = Workers(_call_here)
 
 
-@contextmanager
 def open_workers(
     workers: int | Literal["none"] = 2, scheduler: str | None = None
-) -> Iterator[Workers]:
+) -> AbstractContextManager[Workers]:
     """Workers that end with the block, or those of a cluster, which it leaves.
 
     Parameters
@@ -307,13 +306,8 @@ def open_workers(
         No scheduler answers at the address, it has no workers, or one has another lscan.
     """
     if workers == "none":
-        yield THIS_PROCESS
-    elif scheduler is None:
-        with _processes(workers) as opened:
-            yield opened
-    else:
-        with _cluster(scheduler) as opened:
-            yield opened
+        return nullcontext(THIS_PROCESS)
+    return _processes(workers) if scheduler is None else _cluster(scheduler)
 
 
 @contextmanager
@@ -480,13 +474,13 @@ def calls_done(
         with _in_common(files or {}, folder if workers.elsewhere else None) as common:
             submit = partial(workers.submit, _call_in_common, common, function)
             while True:
-                yield from _done_side_by_side(workers, submit, waiting, suspects)
+                yield from _calls_side_by_side(workers, submit, waiting, suspects)
                 if not suspects:
                     return
+                _log.warning("a worker was killed: %d calls are tried again", len(suspects))
                 for _ in range(workers.attempts - 2):
-                    _log.warning("a worker was killed: %d calls are tried again", len(suspects))
                     again, suspects = iter(suspects), []
-                    yield from _done_side_by_side(workers, submit, again, suspects)
+                    yield from _calls_side_by_side(workers, submit, again, suspects)
                     suspects += again
                 for item in chain.from_iterable(map(apart, suspects)):
                     found: Found | None = None
@@ -505,7 +499,7 @@ def calls_done(
         raise told from error
 
 
-def _done_side_by_side(
+def _calls_side_by_side(
     workers: Workers,
     submit: Callable[[Item], Future[Found]],
     waiting: Iterator[Item],
@@ -514,7 +508,8 @@ def _done_side_by_side(
     """What is done until all is, or a worker is killed: then what was under way is suspect."""
     under_way: dict[Future[Found], Item] = {}
     while True:
-        for item in islice(waiting, 0 if suspects else workers.most() - len(under_way)):
+        more = 0 if suspects else workers.most() - len(under_way)  # fewer than none where some left
+        for item in islice(waiting, max(more, 0)):
             under_way[submit(item)] = item
         if not under_way:
             return

@@ -28,7 +28,7 @@ from sim.studies.run.store import (
     ProblemSource,
     Results,
     ResultStore,
-    distinct,
+    distinct_rows,
     evaluate_rows,
     identity_of,
     open_store,
@@ -271,7 +271,7 @@ def run_rows(
         The scheduler is gone, or a worker cannot make the problem.
     """
     require_at_most(rows, at_most)
-    missing, every = store.missing(rows), len(distinct(rows))
+    missing, every = store.missing(rows), len(distinct_rows(rows))
     done = every - len(missing)
     logged: set[str] = set()
     batches, evaluate = Batches(missing), partial(evaluate_rows, source, store.identity.sha256)
@@ -286,7 +286,7 @@ def run_rows(
 
     with closing(stream), on_stop_signals(stop):
         for calls in stream:
-            finished = [_killed(rows) if batch is None else batch for rows, batch in calls]
+            finished = [_batch_of_killed(rows) if batch is None else batch for rows, batch in calls]
             for batch in finished:
                 batches.learn(len(batch.rows), batch.seconds)
             _log_faults(finished, logged)
@@ -299,7 +299,7 @@ def run_rows(
     return store.results(rows)
 
 
-def _killed(row: Floats) -> Batch:
+def _batch_of_killed(row: Floats) -> Batch:
     """What became of a row that kills whoever evaluates it."""
     return Batch(row, Results(np.full((1, 0), np.nan), (KILLED,)), 0.0)
 
@@ -318,7 +318,7 @@ def require_at_most(rows: Floats, at_most: int | None, more: int = 0) -> None:
     InputError
         It has more.
     """
-    count = len(distinct(rows)) + more
+    count = len(distinct_rows(rows)) + more
     if at_most is not None and count > at_most:
         raise InputError("too many runs", where="--at-most", value=count, allowed=f"{at_most}")
 

@@ -110,7 +110,7 @@ class Batch:
     traces: Mapping[str, str] = field(default_factory=dict)
 
 
-def canonical(rows: Floats) -> Floats:
+def canonical_rows(rows: Floats) -> Floats:
     """(N, D) rows with one kind of zero and of NaN, so that equal rows have equal bytes.
 
     Parameters
@@ -120,15 +120,15 @@ def canonical(rows: Floats) -> Floats:
     return np.where(np.isnan(rows), np.nan, rows).astype("<f8") + 0.0
 
 
-def distinct(rows: Floats) -> Floats:
+def distinct_rows(rows: Floats) -> Floats:
     """(M, D) the rows without repetitions, canonical, in the order in which they first stand.
 
     Parameters
     ----------
     rows : (N, D) array
     """
-    first = {row.tobytes(): n for n, row in reversed(list(enumerate(canonical(rows))))}
-    return canonical(rows)[sorted(first.values())]
+    first = {row.tobytes(): n for n, row in reversed(list(enumerate(canonical_rows(rows))))}
+    return canonical_rows(rows)[sorted(first.values())]
 
 
 class ResultStore:
@@ -174,7 +174,7 @@ class ResultStore:
         ----------
         rows : (N, D) array
         """
-        once = distinct(rows)
+        once = distinct_rows(rows)
         return once[[self._found(row) is None for row in once]]
 
     def append(self, batches: Iterable[Batch]) -> None:
@@ -213,7 +213,7 @@ class ResultStore:
         """
         values = np.full((len(rows), width(self.identity.outputs)), np.nan)
         status = []
-        for n, row in enumerate(canonical(rows)):
+        for n, row in enumerate(canonical_rows(rows)):
             if (found := self._found(row)) is None:
                 raise KeyError(row)
             status.append(found[0])

@@ -6,6 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
@@ -26,7 +27,7 @@ from sim.studies.run.executor import (
     workers_of,
 )
 from sim.studies.run.running import TARGET_S, Batches, cost_estimate, prepared_of, run_rows
-from sim.studies.run.store import OK, Results, ResultStore, distinct, identity_of, open_store
+from sim.studies.run.store import OK, Results, ResultStore, distinct_rows, identity_of, open_store
 from tests.validation.studies.running import (
     ROWS,
     StubSource,
@@ -87,7 +88,7 @@ def test_results_do_not_depend_on_the_workers(
             source, rows, store, two_workers, progress=lambda *step: steps.append(step)
         )
     assert result_bytes(found) == result_bytes(in_one_process(source, rows, tmp_path))
-    assert sorted(evaluated(source)) == sorted(row.tobytes() for row in distinct(rows))
+    assert sorted(evaluated(source)) == sorted(row.tobytes() for row in distinct_rows(rows))
     assert steps[-1] == (299, 299)
     assert [done for done, _ in steps] == sorted({done for done, _ in steps})
 
@@ -109,7 +110,7 @@ def test_a_design_that_grows_evaluates_what_is_new_alone(
         run_rows(source, rows[:25], store)
         found = run_rows(source, rows[::-1], store)
     assert result_bytes(found) == result_bytes(in_one_process(source, rows[::-1], tmp_path))
-    assert len(evaluated(source)) == len(distinct(rows))
+    assert len(evaluated(source)) == len(distinct_rows(rows))
 
 
 def test_a_row_that_fails_has_a_status_and_a_fault_is_logged_once(
@@ -394,6 +395,20 @@ def test_a_worker_with_another_file_of_the_same_name_is_refused(
             mesh.write_bytes(content)
         with pytest.raises(InputError, match=f"the worker at .*{told}.*mesh.stl"):
             list(in_order(workers, str, [1], str, files={str(mesh): "0" * 64}))
+
+
+def test_a_cluster_whose_workers_leave_gets_fewer_calls(two_workers: Workers) -> None:
+    """Of eight workers one stays: what was under way is more than it is given."""
+    most = iter([8, 1])
+    leaving = replace(two_workers, most=lambda: next(most, 1))
+    assert list(in_order(leaving, abs, range(-20, 0), str)) == list(range(20, 0, -1))
+
+
+def test_it_is_told_where_no_worker_can_do_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else every row would be said to kill its worker, and be kept so."""
+    monkeypatch.setattr("sim.studies.run.executor._end_with_parent", os.abort)
+    with open_workers(1) as workers, pytest.raises(LscanError, match="cannot evaluate any row"):
+        list(in_order(workers, abs, [-1], str))
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
