@@ -337,8 +337,12 @@ def _processes(count: int) -> Iterator[Workers]:
         for child in children:  # whatever they do: what is done has been handed over
             child.kill()
         for pool in pools:
-            # Python before 3.11.5 waits for what it is sending to a process that is gone.
-            pool._call_queue._reader.close()  # type: ignore[attr-defined]
+            if sys.version_info < (
+                3,
+                11,
+                5,
+            ):  # that waits for what it sends to a process that is gone
+                pool._call_queue._reader.close()  # type: ignore[attr-defined]
             pool.shutdown(cancel_futures=True)
 
 
