@@ -28,13 +28,28 @@ from sim.truth import (
     stripe_truths,
 )
 
+
+def _exposed(
+    scene: Scene, layers: Layers, *stream: int, exposure_ms: float | None = None
+) -> tuple[Bytes, float]:
+    """What the scene's webcam takes of rendered light, uint8, and how long it exposes it, ms.
+
+    stream: of the noise, beside the sensor's seed.  exposure_ms: None: as the scene says.
+    """
+    webcam = Webcam(scene)
+    if exposure_ms is None:
+        exposure_ms = exposure_of(scene, webcam, layers)
+    rng = np.random.default_rng([scene.tank.sensor.seed, *stream])
+    return webcam.expose(layers, exposure_ms, rng), exposure_ms
+
+
 # Pictures of the calibration board for a suite, with the truth of marks and map.
 
 
 PLACES = 25  # of the map, along either side of the board
 
 
-def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: "Layers") -> BoardCase:
+def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: Layers) -> BoardCase:
     """The light of one render as the scene's webcam takes it, with the board's truth.
 
     Parameters
@@ -44,16 +59,11 @@ def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: "Layers
     axes : mapping, its values
     layers : Layers, rendered at the start of the plan
     """
-    from sim.devices import exposure_of
-    from sim.sensor import Webcam
-
-    webcam = Webcam(scene)
-    rng = np.random.default_rng([scene.tank.sensor.seed, 1])
     pixels, places = _map(scene)
     return BoardCase(
         name,
         axes,
-        webcam.expose(layers, exposure_of(scene, webcam, layers), rng),
+        _exposed(scene, layers, 1)[0],
         scene.board(),
         scene.rig.optics,
         joined_marks(board_truth(scene, scene.rig.plan.start_mm).centres),
@@ -92,7 +102,7 @@ def line_case(
     scene: Scene,
     name: str,
     axes: Mapping[str, str],
-    layers: "Layers",
+    layers: Layers,
     truths: Sequence[StripeTruth],
     *,
     pair: bool = False,
@@ -108,31 +118,23 @@ def line_case(
     truths : sequence, as of ``line_truths``
     pair : bool, whether there is a picture with the laser off besides
     """
-    from sim.devices import exposure_of
-    from sim.sensor import Webcam
-
-    webcam = Webcam(scene)
-    exposure_ms = exposure_of(scene, webcam, layers)
-    seed, position_mm = scene.tank.sensor.seed, scene.rig.plan.start_mm
+    picture, exposure_ms = _exposed(scene, layers, 1)
     shown = truths if scene.tank.laser.on else ()
-    dark = None
-    if pair:
-        none = np.zeros_like(layers.ambient)
-        unlit = replace(layers, direct=none, scattered=none)
-        dark = webcam.expose(unlit, exposure_ms, np.random.default_rng([seed, 2]))
+    none = np.zeros_like(layers.ambient)
+    unlit = replace(layers, direct=none, scattered=none)
     return SuiteCase(
         name,
         axes,
-        webcam.expose(layers, exposure_ms, np.random.default_rng([seed, 1])),
-        dark,
-        label_scene(scene, position_mm, layers, shown, exposure_ms),
+        picture,
+        _exposed(scene, unlit, 2, exposure_ms=exposure_ms)[0] if pair else None,
+        label_scene(scene, scene.rig.plan.start_mm, layers, shown, exposure_ms),
         _truth_of(scene, truths, exposure_ms),
         scene.rig.stripe,
         _layers_in_dn(scene, layers, exposure_ms),
     )
 
 
-def _layers_in_dn(scene: Scene, layers: "Layers", exposure_ms: float) -> LightLayers | None:
+def _layers_in_dn(scene: Scene, layers: Layers, exposure_ms: float) -> LightLayers | None:
     """None where no light reaches the sensor's electrons."""
     step = one_step_w_m2_sr(scene, exposure_ms)
     if not np.isfinite(step):
@@ -208,8 +210,6 @@ def rendered_case(scene: str, document: Document) -> SuiteCase | BoardCase:
     InputError
         A key or a value is wrong.
     """
-    from sim.render.tank import Tank
-
     loaded = scene_of(parse_rig(inline_board(document, source=scene), source=scene))
     layers = Tank(loaded).render(loaded.rig.plan.start_mm)
     name, axes = loaded.rig.name, {"scene": scene}
@@ -253,34 +253,20 @@ def scan_cases(first: ScanScenes, cases: Sequence[ScanScenes]) -> list[ScanCase]
         raise InputError("scans: laser", where=first.scan.source, allowed="one line, that is on")
     board = Tank(first.board).render(first.board.rig.plan.start_mm)
     positions = plan.positions_mm()
-    frames: list[list[_Exposed]] = [[] for _ in cases]
+    frames: list[list[tuple[Bytes, float]]] = [[] for _ in cases]
     tank = Tank(first.scan)
     for number, position_mm in enumerate(positions):
         moment = at_moment(first.scan, number, position_mm)
         tank.take(moment.scene)
         layers = tank.render(moment.position_mm)
         for case, taken in zip(cases, frames, strict=True):
-            taken.append(_exposed(at_moment(case.scan, number, position_mm).scene, layers, number))
+            of_case = at_moment(case.scan, number, position_mm).scene
+            taken.append(_exposed(of_case, layers, FRAMES, number))
     truths = _truths(first.scan, positions)
     slices = _slices(first.scan)
     return [
         _case(case, board, taken, truths, slices) for case, taken in zip(cases, frames, strict=True)
     ]
-
-
-@dataclass(frozen=True)
-class _Exposed:
-    """A picture, uint8, and how long it was exposed, ms."""
-
-    picture: Bytes
-    exposure_ms: float
-
-
-def _exposed(scene: Scene, layers: Layers, number: int) -> _Exposed:
-    webcam = Webcam(scene)
-    exposure_ms = exposure_of(scene, webcam, layers)
-    rng = np.random.default_rng([scene.tank.sensor.seed, FRAMES, number])
-    return _Exposed(webcam.expose(layers, exposure_ms, rng), exposure_ms)
 
 
 def _truths(scene: Scene, positions_mm: Sequence[float]) -> list[StripeTruth]:
@@ -307,16 +293,16 @@ def _slices(scene: Scene) -> tuple[Floats, Ints]:
 def _case(
     case: ScanScenes,
     board: Layers,
-    frames: Sequence[_Exposed],
+    frames: Sequence[tuple[Bytes, float]],
     truths: Sequence[StripeTruth],
     slices: tuple[Floats, Ints],
 ) -> ScanCase:
-    lights = line_brightness(case.scan, truths, [frame.exposure_ms for frame in frames])
+    lights = line_brightness(case.scan, truths, [exposure_ms for _, exposure_ms in frames])
     return ScanCase(
         case.name,
         case.axes,
         board_case(case.board, case.name, case.axes, board),
-        tuple(frame.picture for frame in frames),
+        tuple(picture for picture, _ in frames),
         case.scan.rig,
         np.stack([truth.xz_mm for truth in truths]),
         np.stack([light.height_dn for light in lights]),

@@ -2,24 +2,19 @@
 
 import hashlib
 import json
-import os
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
-from lscan.acquisition.run import first_difference
 from lscan.errors import InputError
 from lscan.files.datasets import MANIFEST, MOST_PICTURES, VERSION
 from lscan.files.disk import (
     list_names,
-    lock_folder,
     long_work,
-    make_folder,
-    read_json,
     remove_temporaries,
     write_atomically,
     write_json,
@@ -38,6 +33,7 @@ from sim.datasets.datasetshards import (
 )
 from sim.datasets.datasetspec import DatasetSpec
 from sim.datasets.labels import CORE, Label
+from sim.studies.run.executor import in_order, keep_identity, locked_folder, open_workers
 
 IDENTITY = "identity.json"
 TRIED = 3  # pictures that the estimate is made from; the first may compile
@@ -91,9 +87,7 @@ def make_dataset(
     if count > MOST_PICTURES:
         raise InputError("too many pictures", value=count, allowed=f"{MOST_PICTURES} at most")
     folder = folder.resolve()
-    make_folder(folder)
-    lock = lock_folder(folder, "data set")
-    try:
+    with locked_folder(folder, "data set"):
         remove_temporaries(folder)
         identity = _identity(spec, count, form)
         _keep_identity(folder, identity, resume)
@@ -103,8 +97,15 @@ def make_dataset(
         done = sum(task.count for task in tasks if task.number in records)
         if missing and say is not None:
             say(_estimate(missing, 1 if workers == "none" else workers, scheduler))
-        with closing(_made(missing, workers, scheduler)) as made:
-            for task, record in zip(missing, made, strict=True):
+        with (
+            open_workers(workers if missing else "none", scheduler) as able,
+            closing(
+                in_order(able, make_shard, missing, str, files=spec.files, folder=folder)
+            ) as made,
+        ):
+            for task, found in zip(missing, made, strict=True):
+                # Where its workers died time and again, it has what they had made by then.
+                record = packed_shard(task, found) if isinstance(found, str) else found
                 records[task.number] = record
                 done += task.count
                 if progress is not None:
@@ -113,8 +114,6 @@ def make_dataset(
         write_atomically(folder / "README.md", data_card(manifest, spec).encode())
         write_json(folder / MANIFEST, manifest)
         return manifest
-    finally:
-        os.close(lock)
 
 
 def _kept(tasks: Sequence[ShardTask]) -> dict[int, ShardRecord]:
@@ -135,27 +134,6 @@ def _tasks(spec: DatasetSpec, folder: Path, count: int, form: Format) -> list[Sh
         ShardTask(spec, folder, form, number, first, min(size, count - first))
         for number, first in enumerate(range(0, count, size))
     ]
-
-
-def _made(
-    tasks: Sequence[ShardTask], workers: int | Literal["none"], scheduler: str | None
-) -> Generator[ShardRecord]:
-    """The shards' records in order."""
-    if not tasks:
-        return
-    if workers == "none":
-        yield from map(make_shard, tasks)
-        return
-    from sim.studies.run.executor import in_order, open_client  # takes a second to import
-
-    with open_client(workers, scheduler) as client:
-        first = tasks[0]
-        found = in_order(
-            client, make_shard, tasks, str, files=first.spec.files, folder=first.folder
-        )
-        for task, record in zip(tasks, found, strict=True):
-            # Where its workers died time and again, it has what they had made by then.
-            yield packed_shard(task, record) if isinstance(record, str) else record
 
 
 def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -> str:
@@ -182,20 +160,14 @@ def _identity(spec: DatasetSpec, count: int, form: Format) -> dict[str, Any]:
 
 def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None:
     """Refuse a folder that holds something else; else write what it is to hold."""
-    file, names = folder / IDENTITY, list_names(folder)
-    if names <= {IDENTITY}:  # of a data set that was refused before its first shard
-        write_json(file, identity)
-        return
-    if IDENTITY not in names:
+    names = list_names(folder)
+    begun = not names <= {IDENTITY}  # it is there alone where none of its shards was begun
+    if begun and IDENTITY not in names:
         raise InputError("is not empty", where=folder, allowed="a new folder")
-    if not resume:
+    if begun and not resume:
         raise InputError("holds a data set", where=folder, allowed="--resume, or a new folder")
-    kept = read_json(file, within=folder)
-    if not isinstance(kept, dict) or kept.get("sha256") != identity["sha256"]:
-        differing = first_difference(kept, identity) if isinstance(kept, dict) else IDENTITY
-        allowed = "the same spec, scenes, count, format and version of lscan; or a new folder"
-        what = f"holds another data set, which differs in {differing}"
-        raise InputError(what, where=folder, allowed=allowed)
+    allowed = "the same spec, scenes, count, format and version of lscan; or a new folder"
+    keep_identity(folder / IDENTITY, identity, "another data set", allowed, begun=begun)
 
 
 def _manifest(identity: dict[str, Any], records: Sequence[ShardRecord]) -> dict[str, Any]:

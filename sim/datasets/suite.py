@@ -2,9 +2,8 @@
 
 import hashlib
 import json
-import os
 import shutil
-from collections.abc import Generator, Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import combinations, groupby
@@ -18,7 +17,7 @@ from lscan.config.documents import Document, Strict, by_content, check, merge, r
 from lscan.config.rig import inline_board, parse_rig
 from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
-from lscan.files.disk import lock_folder, make_folder, read_text, write_atomically
+from lscan.files.disk import make_folder
 from lscan.records import Progress
 from lscan.suites import is_written, open_suite, pack_suite, write_case, write_manifest
 from lscan.suites.content import Word
@@ -27,6 +26,7 @@ from lscan.version import __version__
 from sim.datasets.cases import board_case, line_case, line_truths, turned_case
 from sim.scene import Scene, scene_of
 from sim.scene.instrument import Seed
+from sim.studies.run.executor import in_order, keep_identity, locked_folder, open_workers
 
 # What a suite is rendered from: a spec file, and the cases that cover its values pair by pair.
 
@@ -343,7 +343,7 @@ def covering(
 # A suite rendered: one render for many exposures, kept case by case, packed when all are there.
 
 
-IDENTITY = "identity.txt"
+IDENTITY = "identity.json"
 
 
 @dataclass(frozen=True)
@@ -398,10 +398,11 @@ def make_suite(
         for last in among.cases()[-1:]:
             among.scene(last)  # refused before anything is written
     folder = file.with_name(f"{file.name}.partial").resolve()
-    make_folder(folder)
-    lock = lock_folder(folder, "lscan-sim suite make")
-    try:
-        _keep_identity(folder / IDENTITY, f"{made_by} seed {spec.seed}\n")
+    with locked_folder(folder, "lscan-sim suite make"):
+        identity = {"made_by": made_by, "seed": spec.seed}
+        what, allowed = "the cases of another suite", "another file, or its removal"
+        begun = any(folder.glob("*/*"))
+        keep_identity(folder / IDENTITY, identity, what, allowed, begun=begun)
         _render_missing(spec, folder, workers, progress)
         axes = {
             of.kind: {case.name: of.axes_of(case) for case in of.cases()} for of in spec.case_sets
@@ -410,8 +411,6 @@ def make_suite(
         write_manifest(folder, spec.file.name, spec.seed, made_by, *kinds)
         pack_suite(folder, file)
         shutil.rmtree(folder, ignore_errors=True)
-    finally:
-        os.close(lock)
     return file
 
 
@@ -469,22 +468,18 @@ def _maker(spec: SuiteSpec) -> str:
     return f"lscan {__version__} {spec.sha256[:16]}{quickly}"
 
 
-def _keep_identity(file: Path, identity: str) -> None:
-    """Write what the folder is to hold; refuse one that holds cases of something else."""
-    if not file.exists() or not list(file.parent.glob("*/*")):
-        write_atomically(file, identity.encode())
-    elif read_text(file) != identity:
-        allowed = "another file, or its removal"
-        raise InputError("holds the cases of another suite", where=file.parent, allowed=allowed)
-
-
 def _render_missing(
     spec: SuiteSpec, folder: Path, workers: int | Literal["none"], progress: Progress | None
 ) -> None:
     tasks = [task for among in spec.case_sets for task in _tasks(among, folder)]
     count = sum(among.file.pictures for among in spec.case_sets)
     done = count - sum(len(task.cases) for task in tasks)
-    with closing(_made(tasks, workers)) as made:
+    if workers != "none":
+        workers = min(workers, len(tasks)) if len(tasks) > 1 else "none"
+    with (
+        open_workers(workers) as able,
+        closing(in_order(able, make_cases, tasks, lambda reason: f"its render {reason}")) as made,
+    ):
         for task, failure in zip(tasks, made, strict=True):
             if failure:
                 raise InputError(failure, where=", ".join(task.cases[0].render))
@@ -500,19 +495,6 @@ def _tasks(among: CaseSet, folder: Path) -> list[RenderTask]:
     first = {case.render: case for case in reversed(cases)}
     shared = groupby(missing, key=lambda case: case.render)
     return [RenderTask(among, folder, first[one], tuple(group)) for one, group in shared]
-
-
-def _made(
-    tasks: Sequence[RenderTask], workers: int | Literal["none"]
-) -> Generator[str, None, None]:
-    """For each task, once it is done, what kept it from being so."""
-    if workers == "none" or len(tasks) < 2:
-        yield from map(make_cases, tasks)
-        return
-    from sim.studies.run.executor import in_order, open_client  # takes a second to import
-
-    with open_client(min(workers, len(tasks))) as client:
-        yield from in_order(client, make_cases, tasks, lambda reason: f"its render {reason}")
 
 
 def make_cases(task: RenderTask) -> str:

@@ -7,14 +7,14 @@ means, the bootstrap-t (sec. 12.5) of squares.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 
 from lscan.records import Floats, Mask
-from sim.studies.indices import Bounded
+from sim.studies.indices import Bounded, Indices
 from sim.studies.problem import AFTER, ALL, BASE, Output, alone, columns
 
 # A finished study as plain data: of each output, cause by cause, where its error comes from.
@@ -311,9 +311,6 @@ class StudyResults:
 # The budget of a study's runs: rms, mean and scatter of each output, and each cause's part in it.
 
 
-Indices = Mapping[str, tuple[float, float, float, float, float, float]]
-"""Cause or group to first index, its interval's ends, total index, its interval's ends."""
-
 RESAMPLES = 400  # of the bootstrap: the ends of an interval lie 10 replicates inside
 PERCENT = (2.5, 97.5)
 MOST_SCATTERED = 600  # dots of a scatter
@@ -332,7 +329,7 @@ def budgets_of(
     Parameters
     ----------
     runs : StudyRuns, those that failed are left out
-    indices : mapping, of an output's name, those of its causes; some may be missing
+    indices : mapping, of an output's name; some may be missing
     seed : int, of the bootstrap
     stated : mapping, of an output's name, the rms of what the instrument states, in its unit
     convergence : mapping, of an output's name, its largest indices against the number of runs
@@ -342,7 +339,7 @@ def budgets_of(
         output.name: _budget(
             runs,
             output.name,
-            indices.get(output.name, {}),
+            indices.get(output.name),
             seed=seed,
             stated=stated.get(output.name),
             convergence=convergence.get(output.name, ()),
@@ -351,16 +348,15 @@ def budgets_of(
     }
     whole = []
     for output in runs.outputs:
-        before = found[output.name].__dict__
         if not output.name.endswith(AFTER) or output.name.removesuffix(AFTER) not in found:
-            whole.append(OutputBudget(**before | {"after": found.get(output.name + AFTER)}))
+            whole.append(replace(found[output.name], after=found.get(output.name + AFTER)))
     return tuple(whole)
 
 
 def _budget(
     runs: StudyRuns,
     name: str,
-    indices: Indices,
+    indices: Indices | None,
     *,
     seed: int,
     stated: float | None,
@@ -383,18 +379,20 @@ def _budget(
         range_95=(float(low), float(high)) if enough else None,
         rms=_rms(mixed, seed),
         stated_rms=stated,
-        rest=_rest([indices[group][:3] for group in groups if group in indices], len(groups)),
+        rest=indices.rest if indices and np.isfinite(indices.rest.value) else None,
         convergence=convergence,
     )
 
 
-def _cause(runs: StudyRuns, name: str, group: str, indices: Indices, seed: int) -> CauseBudget:
-    row = indices.get(group, (np.nan,) * 6)
+def _cause(
+    runs: StudyRuns, name: str, group: str, indices: Indices | None, seed: int
+) -> CauseBudget:
+    own = indices.groups.get(group) if indices else None
     return CauseBudget(
         cause=group,
         alone_rms=_rms(errors_in(runs, name, alone(group)), seed),
-        first=_bounded(*row[:3]),
-        total=_bounded(*row[3:]),
+        first=_bounded(*astuple(own.first)) if own else None,
+        total=_bounded(*astuple(own.total)) if own else None,
         sensitivity=_sensitivity(runs, name, group),
     )
 
@@ -469,15 +467,6 @@ def _mean_and_deviation(errors: Floats, seed: int) -> tuple[Bounded | None, Boun
         bias = 2 * (weights @ squares) / n
         more = np.sqrt(np.maximum((more_means**2).mean(axis=1) - bias, 0.0))
     return _bounded(mean, *np.percentile(more, PERCENT)), _root(squares, seed)
-
-
-def _rest(first: list[tuple[float, ...]], causes: int) -> Bounded | None:
-    """1 less the sum of all first indices, their errors taken for independent."""
-    if not causes or len(first) < causes:
-        return None
-    value, low, high = np.array(first).T
-    rest = 1 - value.sum()
-    return _bounded(rest, rest - np.linalg.norm(high - value), rest + np.linalg.norm(value - low))
 
 
 def _sensitivity(runs: StudyRuns, name: str, group: str) -> float | None:

@@ -54,7 +54,7 @@ def as_document(results: StudyResults) -> dict[str, Any]:
     ----------
     results : StudyResults
     """
-    return _with_units(asdict(results))
+    return _renamed(asdict(results), lambda name, unit: (name, name + _suffix(unit)))
 
 
 def load_results(folder: Path) -> StudyResults:
@@ -72,7 +72,8 @@ def load_results(folder: Path) -> StudyResults:
     file = folder / RESULTS
     try:
         document = json.loads(read_text(file, MOST_BYTES))
-        return _RESULTS.validate_python(_without_units(document))
+        document = _renamed(document, lambda name, unit: (name + _suffix(unit), name))
+        return _RESULTS.validate_python(document)
     except ValidationError as error:
         first = error.errors()[0]
         where = f"{file}: {'.'.join(map(str, first['loc']))}"
@@ -139,14 +140,6 @@ def _variable(kind: str, name: str) -> str:
 def _suffix(unit: str) -> str:
     """Such as ``_mm`` or ``_deg_per_m``."""
     return "_" + unit.replace("/", "_per_").replace("%", "percent").replace(" ", "_")
-
-
-def _with_units(document: dict[str, Any]) -> dict[str, Any]:
-    return _renamed(document, lambda name, unit: (name, name + _suffix(unit)))
-
-
-def _without_units(document: dict[str, Any]) -> dict[str, Any]:
-    return _renamed(document, lambda name, unit: (name + _suffix(unit), name))
 
 
 def _renamed(document: dict[str, Any], names: Any) -> dict[str, Any]:

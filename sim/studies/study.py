@@ -16,7 +16,6 @@ from lscan.records import Floats, Progress
 from sim.scene import target_pose
 from sim.studies.budget import (
     IndexConvergence,
-    OutputBudget,
     StudyResults,
     StudyRuns,
     TierRow,
@@ -31,12 +30,17 @@ from sim.studies.problem import BASE, Design, Output, alone, columns, make_desig
 from sim.studies.results import joined, runs_of, write_results
 from sim.studies.rig.prepared import Prepared
 from sim.studies.rig.states import check_keys
-from sim.studies.run.executor import require_at_most
-from sim.studies.run.running import RigSource, StudyOptions, StudyRunning, prepared_of
+from sim.studies.run.running import (
+    RigSource,
+    StudyOptions,
+    StudyRunning,
+    prepared_of,
+    require_at_most,
+)
 from sim.studies.run.store import (
     Results,
     ResultStore,
-    distinct,
+    distinct_rows,
     identity_of,
     open_store,
     require_same_document,
@@ -162,7 +166,7 @@ def _until_known(running: StudyRunning, tier: Tier) -> _TierRuns:
         grown = next_base(wanted, precision.half_width, base)
         if grown is None or grown > precision.most:
             break
-        if len(distinct(_design(study, grown).rows)) > running.options.at_most:
+        if len(distinct_rows(_design(study, grown).rows)) > running.options.at_most:
             most = running.options.at_most
             running.say(f"{grown} samples would be more than the {most} runs agreed to")
             break
@@ -232,11 +236,10 @@ def _results(
         every = joined(runs, runs_of(study, *rendered, found.outputs))
     budgets = budgets_of(
         runs,
-        {name: _as_tuples(one) for name, one in indices.items()},
+        indices,
         seed=study.file.seed,
         convergence={name: _convergence(found.convergence, name) for name in indices},
     )
-    budgets = tuple(_with_rest(budget, indices) for budget in budgets)
     if rendered is not None:
         budgets = tuple(in_rendered_physics(budget, indices, tiers) for budget in budgets)
     # The files, and the places, of an error map are those of the rig as it ought to be.
@@ -297,22 +300,6 @@ def _remarks(
             "[precision] half_width asks for: its `most` or --at-most does not allow enough runs"
         )
     return notes
-
-
-def _as_tuples(found: Indices) -> dict[str, tuple[float, float, float, float, float, float]]:
-    return {
-        name: (
-            group.first.value, group.first.low, group.first.high,
-            group.total.value, group.total.low, group.total.high,
-        )
-        for name, group in found.groups.items()
-    }  # fmt: skip
-
-
-def _with_rest(budget: OutputBudget, indices: Mapping[str, Indices]) -> OutputBudget:
-    rest = indices[budget.name].rest
-    after = budget.after and _with_rest(budget.after, indices)
-    return replace(budget, rest=rest if np.isfinite(rest.value) else None, after=after)
 
 
 def _convergence(

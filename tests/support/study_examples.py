@@ -14,7 +14,6 @@ from sim.studies.budget import (
     CauseFacts,
     DesignTrial,
     IndexConvergence,
-    Indices,
     StudyResults,
     StudyRuns,
     TierRow,
@@ -25,7 +24,7 @@ from sim.studies.budget import (
     error_maps,
     scatters_of,
 )
-from sim.studies.indices import Bounded
+from sim.studies.indices import Bounded, GroupIndices, Indices, Moments
 from sim.studies.problem import ALL, BASE, Output, alone, columns, width
 
 OUTPUTS = (Output("height", "mm", 80), Output("height.after", "mm", 80), Output("yaw", "deg"))
@@ -127,9 +126,13 @@ def study_runs(seed: int, alone_runs: int = 256, mixed: int = 2048, failing: int
 def indices(spread: float = 0.02) -> dict[str, Indices]:
     """The true indices of every output, with intervals of this half-width."""
     found = {}
+    unknown, none = Bounded(np.nan, np.nan, np.nan), spread * np.sqrt(len(GROUPS))
     for output in OUTPUTS:
         shares = {group: true_share(group, output.name) for group in GROUPS}
-        found[output.name] = {g: (s, s - spread, s + spread) * 2 for g, s in shares.items()}
+        bounded = {group: Bounded(s, s - spread, s + spread) for group, s in shares.items()}
+        groups = {group: GroupIndices(one, one, 64) for group, one in bounded.items()}
+        rest, moments = Bounded(0.0, -none, none), Moments(*[unknown] * 4)
+        found[output.name] = Indices(groups, rest, moments, 64, 0)
     return found
 
 

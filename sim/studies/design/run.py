@@ -28,6 +28,7 @@ from sim.studies.design.search import (
 from sim.studies.indices import Bounded, interval, pseudo_values
 from sim.studies.problem import SETS
 from sim.studies.rig.prepared import Prepared
+from sim.studies.run.executor import in_order
 from sim.studies.run.running import RigSource, StudyRunning, prepared_of
 from sim.studies.run.store import OK, identity_of, open_store
 from sim.studies.studyfile import Study
@@ -176,16 +177,11 @@ def _rendered(
 
 
 def _run(running: StudyRunning) -> Run:
-    client = running.workers()
-    if client is None:
-        return map
-    from sim.studies.run.executor import in_order
-
-    study = running.study
+    workers, study = running.workers, running.study
     files = named_files(study.calibrate.document) | named_files(study.scan.document)
 
     def run(judge: Judge, of: Sequence[Parameters]) -> Iterable[Judged]:
-        return in_order(client, judge, of, lambda status: (None, status), files=files)
+        return in_order(workers, judge, of, lambda status: (None, status), files=files)
 
     return run
 

@@ -1,55 +1,46 @@
 """The results of a study in a folder: each row's errors once, whenever and wherever it was run.
 
-``manifest.json`` says what was evaluated; ``results.bin`` has a record for each row that was, in
-the order in which they came.  A record is found by its row's own bytes, so that neither the order
-of the rows nor that of their arrival matters, and a design that grows keeps what it has.  Records
-carry a checksum: what a killed process left half written is cut off when the folder is opened.
+``manifest.json`` says what was evaluated; ``results.db`` is an SQLite database with a record for
+each row that was.  A record is found by its row's own bytes, so that neither the order of the rows
+nor that of their arrival matters, and a design that grows keeps what it has.  What a killed process
+left half written is not there when the database is opened; a record carries a checksum, which
+SQLite does not, against disks that change what they keep.
 """
 
 import hashlib
 import json
 import logging
-import mmap
 import os
+import sqlite3
 import time
 import traceback
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
-from functools import cache, lru_cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from struct import Struct
-from typing import Any, Final, Protocol, Self, TypeVar
+from typing import Any, Final, Protocol, Self
 
-import cv2
 import numpy as np
-import scipy
 
-from lscan.acquisition.run import first_difference
 from lscan.config.documents import by_content
-from lscan.errors import InputError, LscanError
-from lscan.files.disk import (
-    append_synced,
-    content_sha256,
-    disk_errors,
-    lock_folder,
-    make_folder,
-    read_text,
-    write_atomically,
-)
+from lscan.errors import DiskError, InputError, LscanError
+from lscan.files.disk import disk_errors
 from lscan.records import Floats
 from lscan.version import __version__
 from sim.studies.problem import Output, StudyProblem, width
+from sim.studies.run.executor import keep_identity, locked_folder, read_identity, require_same
 
 MANIFEST = "manifest.json"
-RECORDS = "results.bin"
+RECORDS, FORMER = "results.db", "results.bin"
 OK: Final = "ok"
-
-_HEAD = Struct("<II16s?")  # length of the content, checksum of what follows, row, whether values
-_UNCHECKED = Struct("<II").size
-_MANIFEST_BYTES = 2**24
-_Place = tuple[int, int, bool]  # of a record's content: offset, length, whether it is values
+OTHER = "the results of another study"
+TABLE = """CREATE TABLE IF NOT EXISTS results
+    (row BLOB PRIMARY KEY, status TEXT NOT NULL, numbers BLOB NOT NULL, checksum INTEGER NOT NULL)
+"""
+# The folder is locked: without others there is no need of shared memory, which networks have not.
+SETTINGS = "locking_mode = EXCLUSIVE", "journal_mode = WAL", "synchronous = FULL"
+_FULL_OR_FAILED = sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR
 
 _log = logging.getLogger(__name__)
 
@@ -83,7 +74,8 @@ class StudyIdentity:
     @property
     def sha256(self) -> str:
         """In hexadecimal; the order of the document's keys is of no account."""
-        return _sha256(self.as_json())
+        text = json.dumps(self.as_json(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
 
 
 @dataclass(frozen=True)
@@ -117,12 +109,8 @@ class Batch:
     seconds: float
     traces: Mapping[str, str] = field(default_factory=dict)
 
-    def each(self) -> Iterator[tuple[Floats, Floats, str]]:
-        """Each row, its values and its status."""
-        return zip(self.rows, self.results.values, self.results.status, strict=True)
 
-
-def canonical(rows: Floats) -> Floats:
+def canonical_rows(rows: Floats) -> Floats:
     """(N, D) rows with one kind of zero and of NaN, so that equal rows have equal bytes.
 
     Parameters
@@ -132,15 +120,15 @@ def canonical(rows: Floats) -> Floats:
     return np.where(np.isnan(rows), np.nan, rows).astype("<f8") + 0.0
 
 
-def distinct(rows: Floats) -> Floats:
+def distinct_rows(rows: Floats) -> Floats:
     """(M, D) the rows without repetitions, canonical, in the order in which they first stand.
 
     Parameters
     ----------
     rows : (N, D) array
     """
-    first = {_key(row): n for n, row in reversed(list(enumerate(canonical(rows))))}
-    return canonical(rows)[sorted(first.values())]
+    first = {row.tobytes(): n for n, row in reversed(list(enumerate(canonical_rows(rows))))}
+    return canonical_rows(rows)[sorted(first.values())]
 
 
 class ResultStore:
@@ -152,37 +140,32 @@ class ResultStore:
     ----------
     folder : Path
     identity : StudyIdentity
-    lock : int, descriptor of the locked folder; closed with the store
+    database : sqlite3.Connection, of RECORDS in the folder
+    held : ExitStack, closed with the store
     """
 
-    def __init__(self, folder: Path, identity: StudyIdentity, lock: int) -> None:
-        self.folder, self.identity = folder, identity
-        self._held = [lock]
-        file = folder / RECORDS
-        with disk_errors(file):
-            flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-            self._records = os.open(file, flags, 0o666)
-        self._held.append(self._records)
-        self._places = dict(_whole_records(self._records, file))
-        self._end = _cut_torn_tail(self._records, file, self._places.values())
+    def __init__(
+        self, folder: Path, identity: StudyIdentity, database: sqlite3.Connection, held: ExitStack
+    ) -> None:
+        self.folder, self.identity, self.database = folder, identity, database
+        self._held = held
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         """Let go of the folder; an error of the block, or Ctrl-C, gets a note of what is kept."""
-        self.close()
-        if isinstance(error, (LscanError, KeyboardInterrupt)):
-            error.add_note(f"{len(self)} rows are kept in {self.folder}; go on with --resume")
+        with self._held, suppress(sqlite3.Error):
+            if isinstance(error, (LscanError, KeyboardInterrupt)):
+                error.add_note(f"{len(self)} rows are kept in {self.folder}; go on with --resume")
 
     def __len__(self) -> int:
         """How many distinct rows have a result."""
-        return len(self._places)
+        return int(self.database.execute("SELECT count(*) FROM results").fetchone()[0])
 
     def close(self) -> None:
         """Let go of the folder; closing twice is harmless."""
-        while self._held:
-            os.close(self._held.pop())
+        self._held.close()
 
     def missing(self, rows: Floats) -> Floats:
         """(M, D) the distinct rows that have no result yet, in their order.
@@ -191,8 +174,8 @@ class ResultStore:
         ----------
         rows : (N, D) array
         """
-        once = distinct(rows)
-        return once[[_key(row) not in self._places for row in once]]
+        once = distinct_rows(rows)
+        return once[[self._found(row) is None for row in once]]
 
     def append(self, batches: Iterable[Batch]) -> None:
         """Keep what became of rows; when this returns, it is on disk, synced.
@@ -206,17 +189,13 @@ class ResultStore:
         InputError
             The disk refuses; what was kept before stays whole.
         """
-        data, places = bytearray(), {}
-        for row, values, status in (result for batch in batches for result in batch.each()):
-            good = status == OK
-            content = values.astype("<f8").tobytes() if good else status.encode()
-            key = _key(row)
-            checked = _HEAD.pack(len(content), 0, key, good)[_UNCHECKED:] + content
-            data += _HEAD.pack(len(content), zlib.crc32(checked), key, good) + content
-            places[key] = (self._end + len(data) - len(content), len(content), good)
-        append_synced(self._records, bytes(data), self.folder / RECORDS)
-        self._end += len(data)
-        self._places |= places
+        with _database_errors(self.folder), self.database:
+            for batch in batches:
+                found = batch.results
+                for row, values, status in zip(batch.rows, found.values, found.status, strict=True):
+                    content = row.tobytes(), status, values.astype("<f8").tobytes()
+                    written = *content, _checksum(*content)
+                    self.database.execute("REPLACE INTO results VALUES (?, ?, ?, ?)", written)
 
     def results(self, rows: Floats) -> Results:
         """What became of rows that all have a result.
@@ -234,14 +213,22 @@ class ResultStore:
         """
         values = np.full((len(rows), width(self.identity.outputs)), np.nan)
         status = []
-        with disk_errors(self.folder / RECORDS):
-            for n, row in enumerate(canonical(rows)):
-                place, length, good = self._places[_key(row)]
-                content = os.pread(self._records, length, place)
-                status.append(OK if good else content.decode())
-                if good:
-                    values[n] = np.frombuffer(content, "<f8")
+        for n, row in enumerate(canonical_rows(rows)):
+            if (found := self._found(row)) is None:
+                raise KeyError(row)
+            status.append(found[0])
+            if found[0] == OK:
+                values[n] = np.frombuffer(found[1], "<f8")
         return Results(values, tuple(status))
+
+    def _found(self, row: Floats) -> tuple[str, bytes] | None:
+        """Status and values of a canonical row."""
+        with _database_errors(self.folder):
+            sought = "SELECT status, numbers FROM results WHERE row = ?"
+            found: tuple[str, bytes] | None = self.database.execute(
+                sought, (row.tobytes(),)
+            ).fetchone()
+        return found
 
 
 def open_store(folder: Path, identity: StudyIdentity) -> ResultStore:
@@ -255,26 +242,60 @@ def open_store(folder: Path, identity: StudyIdentity) -> ResultStore:
     Raises
     ------
     InputError
-        The folder has results of another study, another process writes to it, or the disk
-        refuses.
+        The folder has results of another study or of an earlier lscan, another process writes to
+        it, or the disk refuses.
     """
-    make_folder(folder)
-    lock = lock_folder(folder, "study")
+    file = folder / RECORDS
+    with ExitStack() as stack:
+        stack.enter_context(locked_folder(folder, "study"))
+        _refuse_former(folder)
+        whose = {**identity.as_json(), "sha256": identity.sha256}
+        what, allowed = OTHER, f"{identity.sha256}, which is this study; or another folder"
+        manifest = folder / MANIFEST
+        keep_identity(manifest, whose, what, allowed, begun=manifest.exists())
+        with disk_errors(file):  # in the system's own words; SQLite would follow a link
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+            os.close(os.open(file, flags, 0o666))
+        with _database_errors(folder):
+            database = stack.enter_context(closing(sqlite3.connect(file)))
+            for setting in SETTINGS:
+                database.execute(f"PRAGMA {setting}")
+            database.execute(TABLE)
+            _forget_damaged(database, file)
+        return ResultStore(folder, identity, database, stack.pop_all())
+
+
+def _forget_damaged(database: sqlite3.Connection, file: Path) -> None:
+    """Drop rows that a disk has changed since: they are evaluated again."""
+    every = database.execute("SELECT rowid, row, status, numbers, checksum FROM results")
+    damaged = [(n,) for n, *content, checksum in every if _checksum(*content) != checksum]
+    if damaged:
+        _log.warning("%s: %d rows are damaged, and will be evaluated again", file, len(damaged))
+        with database:
+            database.executemany("DELETE FROM results WHERE rowid = ?", damaged)
+
+
+def _checksum(row: bytes, status: str, numbers: bytes) -> int:
+    return zlib.crc32(b"".join((row, status.encode(), numbers)))
+
+
+@contextmanager
+def _database_errors(folder: Path) -> Iterator[None]:
+    """Say what the disk, or SQLite, refuses, and what to do."""
     try:
-        _keep_manifest(folder / MANIFEST, identity)
-        return ResultStore(folder, identity, lock)
-    except BaseException:
-        os.close(lock)
-        raise
+        yield
+    except sqlite3.DatabaseError as error:
+        kind, remedy = InputError, "make its folder writable, or choose another folder"
+        if getattr(error, "sqlite_errorcode", 0) & 0xFF in _FULL_OR_FAILED:
+            kind, remedy = DiskError, "make room on the disk; check it, its quota and ulimit -f"
+        raise kind(f"{error}; {remedy}", where=folder / RECORDS) from error
 
 
-def _keep_manifest(file: Path, identity: StudyIdentity) -> None:
-    """Write what the study is, or refuse a folder that holds another one."""
-    if not file.exists():
-        content = {"sha256": identity.sha256, **identity.as_json()}
-        write_atomically(file, f"{json.dumps(content, indent=2)}\n".encode())
-        return
-    _require_same(_read_manifest(file), identity.as_json(), file.parent)
+def _refuse_former(folder: Path) -> None:
+    if (folder / FORMER).exists():
+        what = "holds the results of a study as an earlier lscan kept them"
+        allowed = "another folder, in which the study is begun anew; or that lscan"
+        raise InputError(what, where=folder, allowed=allowed)
 
 
 def require_same_document(folder: Path, document: Mapping[str, Any]) -> None:
@@ -290,157 +311,17 @@ def require_same_document(folder: Path, document: Mapping[str, Any]) -> None:
     InputError
         The folder has results of another document or version; names where they differ first.
     """
-    if (folder / MANIFEST).exists():
-        content = _read_manifest(folder / MANIFEST)
-        kept = {key: content["document"].get(key) for key in document}
+    _refuse_former(folder)
+    file = folder / MANIFEST
+    if file.exists():
+        kept = read_identity(file)
+        document_kept = {key: kept.get("document", {}).get(key) for key in document}
         mine = {"document": dict(document), "version": __version__}
-        _require_same({"document": kept, "version": content["version"]}, mine, folder)
-
-
-def _read_manifest(file: Path) -> dict[str, Any]:
-    """What a manifest says, without its checksum, which is checked."""
-    try:
-        content: dict[str, Any] = json.loads(read_text(file, _MANIFEST_BYTES, within=file.parent))
-        if content.pop("sha256") != _sha256(content):
-            raise InputError("was changed by hand", where=file, allowed="another folder")
-    except (ValueError, KeyError, AttributeError, TypeError) as error:
-        raise InputError(
-            "is no manifest of a study", where=file, allowed="another folder"
-        ) from error
-    return content
-
-
-def _require_same(kept: Mapping[str, Any], mine: Mapping[str, Any], folder: Path) -> None:
-    differing = first_difference(kept, json.loads(json.dumps(mine)))
-    if differing is not None:
-        raise InputError(
-            f"holds the results of another study, which differs in its {differing}",
-            where=folder,
-            value=_sha256(kept),
-            allowed=f"{_sha256(mine)}, which is this study; or another folder",
-        )
-
-
-def _whole_records(descriptor: int, file: Path) -> Iterator[tuple[bytes, _Place]]:
-    """Each record's row, and where its content is, up to the first that is damaged."""
-    with disk_errors(file):
-        size = os.fstat(descriptor).st_size
-        if size == 0:
-            return
-        with mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ) as data:
-            begin = 0
-            while begin + _HEAD.size <= size:
-                length, checksum, key, good = _HEAD.unpack_from(data, begin)
-                place = begin + _HEAD.size
-                checked = data[begin + _UNCHECKED : place + length]
-                begin = place + length
-                if begin > size or zlib.crc32(checked) != checksum:
-                    return
-                yield key, (place, length, good)
-
-
-def _cut_torn_tail(descriptor: int, file: Path, places: Iterable[_Place]) -> int:
-    """Cut off what stands behind the last whole record; the length of what is left."""
-    end = max((place + length for place, length, _ in places), default=0)
-    with disk_errors(file):
-        torn = os.fstat(descriptor).st_size - end
-        if torn:
-            _log.warning("%s: its last %d bytes are damaged and cut off", file, torn)
-            os.ftruncate(descriptor, end)
-            os.fsync(descriptor)
-    return end
-
-
-def _key(row: Floats) -> bytes:
-    """What a canonical row is found by."""
-    return hashlib.blake2b(row.tobytes(), digest_size=16).digest()
-
-
-def _sha256(content: Mapping[str, Any]) -> str:
-    """In hexadecimal, of the canonical JSON text of the content."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+        of_both = {"document": document_kept, "version": kept.get("version")}
+        require_same(of_both, mine, OTHER, file, "another folder")
 
 
 # What a worker does: it makes a study's problem once, and evaluates rows.
-#
-# Before anything else it sees to it that it has in common with its client what it must: another
-# version of a package, another mesh of the same path or another disk of the same name would change
-# results in silence.
-
-
-Found = TypeVar("Found")
-
-
-@cache
-def package_versions() -> Mapping[str, str]:
-    """Version, by name, of each package that the bytes of a row or a picture depend on."""
-    found = {"lscan": __version__, "numpy": np.__version__}
-    found |= {"scipy": scipy.__version__, "opencv": cv2.__version__}
-    for name in ("mitsuba", "drjit"):
-        try:
-            found[name] = version(name)  # importing Mitsuba takes a second
-        except PackageNotFoundError:
-            found[name] = "none"
-    return found
-
-
-@dataclass(frozen=True)
-class InCommon:
-    """What a worker must have as the process has that sends it work.
-
-    Attributes
-    ----------
-    versions : tuple of (name, version), of packages
-    files : tuple of (path, SHA-256), of files that results depend on
-    marker : Path or None, a file of a name that no other has, in the folder that is written to
-    """
-
-    versions: tuple[tuple[str, str], ...]
-    files: tuple[tuple[str, str], ...] = ()
-    marker: Path | None = None
-
-
-def call_in_common(common: InCommon, function: Callable[..., Found], *arguments: Any) -> Found:
-    """What a function gives, called on a worker.
-
-    Parameters
-    ----------
-    common : InCommon
-    function : callable, of the arguments
-
-    Raises
-    ------
-    InputError
-        The worker has something else; names the worker, what, and what it is.
-    """
-    if (found := _difference(common)) is not None:
-        what, value, allowed = found
-        where = f"the worker at {_address()}"
-        raise InputError(what, where=where, value=value, allowed=allowed)
-    return function(*arguments)
-
-
-@lru_cache(maxsize=4)
-def _difference(common: InCommon) -> tuple[str, str, str] | None:
-    """What this process has not in common: what, what it has, what it is to have."""
-    here = package_versions()
-    for name, wanted in common.versions:
-        if here[name] != wanted:
-            return f"has another version of {name}", here[name], f"{wanted}, as here"
-    if common.marker is not None and not common.marker.exists():
-        folder = str(common.marker.parent)
-        return "has another folder of the same name", folder, "a folder that both see"
-    for file, wanted in common.files:
-        if content_sha256(Path(file)) != wanted:
-            return "has another file of the same name, or none", file, "the same as here"
-    return None
-
-
-def _address() -> str:
-    from distributed import get_worker
-
-    return str(get_worker().address)
 
 
 class ProblemSource(Protocol):

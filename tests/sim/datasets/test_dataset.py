@@ -302,7 +302,7 @@ def test_a_data_set_that_was_refused_is_not_in_the_way(
     def refused(*_: Any) -> Any:
         raise InputError("no scheduler answers")
 
-    monkeypatch.setattr(making, "_made", refused)
+    monkeypatch.setattr(making, "open_workers", refused)
     for seed in (7, 8):
         spec = load_dataset_spec(spec_file(tmp_path, seed=seed))
         with pytest.raises(InputError, match="no scheduler answers"):
@@ -333,7 +333,7 @@ def test_another_mesh_of_the_same_name_is_another_data_set(tmp_path: Path) -> No
     make_dataset(moved, tmp_path / "set", 1, workers="none", resume=True)
     trimesh.creation.box((60.0, 60.0, 40.0)).export(tmp_path / "mesh.stl")
     changed = load_dataset_spec(file)
-    with pytest.raises(InputError, match=r"another data set, which differs in files_sha256\.mesh"):
+    with pytest.raises(InputError, match=r"differs in its files_sha256\.mesh"):
         make_dataset(changed, tmp_path / "set", 1, workers="none", resume=True)
 
 

@@ -240,7 +240,7 @@ def test_another_seed_gives_other_pictures_and_is_not_mixed(made, spec_file):
     folder = made.with_name("other.zip.partial")
     (folder / "case-000").mkdir(parents=True)
     (folder / "case-000" / "truth.csv").touch()
-    (folder / "identity.txt").write_text("lscan of yore\n")
+    (folder / "identity.json").write_text('{"made_by": "lscan of yore"}')
     with pytest.raises(InputError, match="cases of another suite"):
         make_suite(load_suite_spec(spec_file), made.with_name("other.zip"), workers="none")
 

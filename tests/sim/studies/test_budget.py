@@ -17,6 +17,7 @@ from study_examples import (
 )
 
 from sim.studies.budget import CauseFacts, StudyRuns, budgets_of, error_maps, errors_in, scatters_of
+from sim.studies.indices import Bounded
 from sim.studies.problem import ALL, BASE, Output, alone
 
 ALONE_RUNS, MIXED = 400, 2048
@@ -48,12 +49,11 @@ def test_shares_are_kept_and_what_is_left_is_interaction() -> None:
         assert cause.total is not None
         share = true_share(cause.cause, "height")
         assert (cause.total.value, cause.total.low) == pytest.approx((share, share - 0.02))
-    assert height.rest is not None
-    assert height.rest.value == pytest.approx(0, abs=1e-12)
-    # Independent intervals add in squares.
-    assert height.rest.high == pytest.approx(0.02 * np.sqrt(len(GROUPS)))
-    fewer = {"height": {key: row for key, row in indices()["height"].items() if key != "tilt"}}
-    assert budgets_of(runs, fewer, seed=12)[0].rest is None
+    found = indices(spread=0.02)["height"]
+    assert height.rest == found.rest
+    unknown = replace(found, rest=Bounded(np.nan, np.nan, np.nan))
+    assert budgets_of(runs, {"height": unknown}, seed=12)[0].rest is None
+    assert budgets_of(runs, {}, seed=12)[0].rest is None
 
 
 def test_the_sums_are_those_of_the_law_of_propagation() -> None:

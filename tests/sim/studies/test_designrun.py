@@ -20,7 +20,7 @@ from sim.studies.design.error import (
 from sim.studies.design.run import DESIGNS, design_problem
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig
-from sim.studies.run.executor import in_order, open_client
+from sim.studies.run.executor import in_order, open_workers
 from sim.studies.run.running import StudyOptions
 from sim.studies.study import run_study
 from sim.studies.studyfile import load_study
@@ -155,6 +155,6 @@ def test_what_is_predicted_above_bounds_is_found_so(problem_error: PredictedErro
 
 @pytest.mark.slow
 def test_workers_give_things_in_their_order() -> None:
-    with open_client(2) as client:
-        found = list(in_order(client, abs, [-3, 2, -1], lambda status: len(status)))
+    with open_workers(2) as workers:
+        found = list(in_order(workers, abs, [-3, 2, -1], lambda status: len(status)))
     assert found == [3, 2, 1]

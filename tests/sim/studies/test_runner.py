@@ -1,14 +1,12 @@
 """Rows evaluated anywhere: the same bytes, nothing twice, failures told, whatever is killed."""
 
-import asyncio
 import logging
 import os
 import signal
 import sys
 import time
-import urllib.error
-import urllib.request
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 from typing import Any
@@ -16,30 +14,20 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from distributed import Client, LocalCluster, Security
-from distributed.core import connect
+from distributed import Client, LocalCluster
 
 from lscan.errors import InputError, LscanError
 from lscan.records import Floats
 from sim.studies.run.executor import (
     KILLED,
-    TARGET_S,
-    Batches,
-    cost_estimate,
+    Workers,
     in_order,
-    open_client,
-    run_rows,
-)
-from sim.studies.run.running import prepared_of
-from sim.studies.run.store import (
-    OK,
-    Results,
-    ResultStore,
-    distinct,
-    identity_of,
-    open_store,
+    open_workers,
     package_versions,
+    workers_of,
 )
+from sim.studies.run.running import TARGET_S, Batches, cost_estimate, prepared_of, run_rows
+from sim.studies.run.store import OK, Results, ResultStore, distinct_rows, identity_of, open_store
 from tests.validation.studies.running import (
     ROWS,
     StubSource,
@@ -57,9 +45,9 @@ FAILING = 0.05
 
 
 @pytest.fixture(scope="module")
-def two_workers() -> Iterator[Client]:
-    with open_client(2) as client:
-        yield client
+def two_workers() -> Iterator[Workers]:
+    with open_workers(2) as workers:
+        yield workers
 
 
 @pytest.fixture
@@ -87,11 +75,11 @@ def opened(source: StubSource, folder: Path) -> ResultStore:
 def in_one_process(source: StubSource, rows: Floats, folder: Path) -> Results:
     quiet = StubSource(failing=source.failing)
     with open_store(folder / "alone", identity_of(quiet)) as store:
-        return run_rows(quiet, rows, store, "none")
+        return run_rows(quiet, rows, store)
 
 
 def test_results_do_not_depend_on_the_workers(
-    source: StubSource, tmp_path: Path, two_workers: Client
+    source: StubSource, tmp_path: Path, two_workers: Workers
 ) -> None:
     rows = stub_rows(300)
     steps: list[tuple[int, int]] = []
@@ -100,7 +88,7 @@ def test_results_do_not_depend_on_the_workers(
             source, rows, store, two_workers, progress=lambda *step: steps.append(step)
         )
     assert result_bytes(found) == result_bytes(in_one_process(source, rows, tmp_path))
-    assert sorted(evaluated(source)) == sorted(row.tobytes() for row in distinct(rows))
+    assert sorted(evaluated(source)) == sorted(row.tobytes() for row in distinct_rows(rows))
     assert steps[-1] == (299, 299)
     assert [done for done, _ in steps] == sorted({done for done, _ in steps})
 
@@ -119,10 +107,10 @@ def test_a_design_that_grows_evaluates_what_is_new_alone(
 ) -> None:
     rows = stub_rows(40)
     with opened(source, tmp_path) as store:
-        run_rows(source, rows[:25], store, "none")
-        found = run_rows(source, rows[::-1], store, "none")
+        run_rows(source, rows[:25], store)
+        found = run_rows(source, rows[::-1], store)
     assert result_bytes(found) == result_bytes(in_one_process(source, rows[::-1], tmp_path))
-    assert len(evaluated(source)) == len(distinct(rows))
+    assert len(evaluated(source)) == len(distinct_rows(rows))
 
 
 def test_a_row_that_fails_has_a_status_and_a_fault_is_logged_once(
@@ -130,7 +118,7 @@ def test_a_row_that_fails_has_a_status_and_a_fault_is_logged_once(
 ) -> None:
     rows = np.column_stack([np.linspace(0.0, 0.1, 41), np.full((41, 2), 0.5)])
     with opened(source, tmp_path) as store, caplog.at_level(logging.ERROR):
-        found = run_rows(source, rows, store, "none")
+        found = run_rows(source, rows, store)
     assert found.status[0] == "no line at 0.000000"
     assert found.status[12] == "error: ZeroDivisionError: at 0.030000"
     assert found.status[20:] == (OK,) * 21
@@ -154,12 +142,12 @@ def test_values_of_another_number_than_the_outputs_are_a_status(tmp_path: Path) 
 
     source = ShortSource()
     with open_store(tmp_path, identity_of(source)) as store:
-        found = run_rows(source, np.zeros((1, 1)), store, "none")
+        found = run_rows(source, np.zeros((1, 1)), store)
     assert found.status == ("error: ValueError: errors of shape (1,) instead of (5,)",)
 
 
 @pytest.mark.slow
-def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers: Client) -> None:
+def test_a_row_that_kills_its_worker_costs_no_other(tmp_path: Path, two_workers: Workers) -> None:
     source = StubSource(killing=0.98)
     rows = np.column_stack([np.linspace(0.0, 0.9, 8), np.full((8, 2), 0.5)])
     rows[5, 0] = 0.99
@@ -216,9 +204,9 @@ def test_a_design_that_is_larger_than_agreed_is_refused(source: StubSource, tmp_
     rows = stub_rows(20)
     with opened(source, tmp_path) as store:
         with pytest.raises(InputError, match=r"--at-most: too many runs \(got 19; allowed: 18\)"):
-            run_rows(source, rows, store, "none", at_most=18)
+            run_rows(source, rows, store, at_most=18)
         assert not evaluated(source)
-        run_rows(source, rows, store, "none", at_most=19)
+        run_rows(source, rows, store, at_most=19)
 
 
 def test_a_cost_estimate_is_that_of_what_is_left(tmp_path: Path) -> None:
@@ -230,7 +218,7 @@ def test_a_cost_estimate_is_that_of_what_is_left(tmp_path: Path) -> None:
         assert cost.rows == 29 - len(store) == 29 - len(evaluated(source))
         assert cost.row_s >= 0.02
         assert cost.seconds >= cost.rows * cost.row_s / 2
-        run_rows(source, rows, store, "none")
+        run_rows(source, rows, store)
         assert cost_estimate(source, rows, store).seconds == 0
     assert len(evaluated(source)) == 29
 
@@ -262,18 +250,27 @@ def test_what_is_killed_is_gone_on_with(tmp_path: Path, what: str, part: float) 
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_the_store_sound_and_no_process(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_what_ends_a_study_leaves_the_store_sound_and_no_process(
+    tmp_path: Path, sent: signal.Signals
+) -> None:
     source = StubSource(row_s=0.02, log=str(tmp_path / "log"))
     study = started_study(source, tmp_path / "store", 5000, "2")
     deadline_s = time.monotonic() + 60
     while len(evaluated(source)) < 50 and time.monotonic() < deadline_s:
         time.sleep(0.05)
     children = psutil.Process(study.pid).children(recursive=True)
-    os.killpg(study.pid, signal.SIGINT)  # as a terminal does: to the workers, too
+    if sent == signal.SIGINT:  # as a terminal does: to the workers, too
+        os.killpg(study.pid, sent)
+    else:
+        os.kill(study.pid, sent)
     said, wrong = study.communicate(timeout=60)
-    assert study.returncode == 3, wrong
-    assert said.strip().endswith("go on with --resume")
-    assert not wrong
+    if sent == signal.SIGKILL:
+        assert study.returncode == -sent
+    else:
+        assert study.returncode == 3, wrong
+        assert said.strip().endswith("go on with --resume")
+        assert not wrong
     assert psutil.wait_procs(children, timeout=10)[1] == []
     with opened(source, tmp_path) as store:
         assert 0 < len(store) <= len(evaluated(source))
@@ -299,7 +296,7 @@ def test_a_ctrl_c_that_a_destructor_swallows_ends_the_study(
 
     source = StubSource()
     with opened(source, tmp_path) as store, pytest.raises(KeyboardInterrupt):
-        run_rows(source, stub_rows(200), store, "none", progress=swallowed)
+        run_rows(source, stub_rows(200), store, progress=swallowed)
     assert len(told) == 1 and len(done) == 2
 
 
@@ -315,38 +312,21 @@ def test_another_scheduler_works_and_its_end_is_told(tmp_path: Path) -> None:
         found = stub_study(source, tmp_path / "store", 40, address)
         expected = in_one_process(source, stub_rows(40), tmp_path)
         assert result_bytes(found) == result_bytes(expected)
-        with open_client(scheduler=address) as client:
+        with open_workers(scheduler=address) as workers:
             slow = StubSource(row_s=0.05)
             with (
                 pytest.raises(LscanError, match=r"the scheduler at .* is gone") as caught,
                 opened(slow, tmp_path / "slow") as store,
             ):
-                run_rows(slow, stub_rows(500), store, client, progress=end_at_20)
+                run_rows(slow, stub_rows(500), store, workers, progress=end_at_20)
     assert "go on with --resume" in caught.value.__notes__[0]
 
 
-def test_the_workers_of_a_study_answer_nobody_else(two_workers: Client) -> None:
-    """Whoever is answered can have any code run: neither plain TCP is, nor any other key."""
-    workers = two_workers.scheduler_info()["workers"]
-    nannies = [worker["nanny"] for worker in workers.values()]
-    stranger = Security.temporary().get_connection_args("client")
-
-    async def ask(address: str, **how: object) -> None:
-        comm = await connect(address, timeout=2, **how)
-        await comm.write({"op": "identity", "reply": True})
-        await comm.read()
-
-    own = two_workers.security.get_connection_args("client")
-    for address in (two_workers.scheduler.address, *workers, *nannies):
-        asyncio.run(ask(address, **own))
-        with pytest.raises(OSError):
-            asyncio.run(ask(address, **stranger))
-        with pytest.raises(OSError):
-            asyncio.run(ask(address.replace("tls://", "tcp://")))
-    port = two_workers.scheduler_info()["services"]["dashboard"]
-    for page in ("health", "info/main/workers.html", "metrics"):
-        with pytest.raises(urllib.error.HTTPError, match="404"):
-            urllib.request.urlopen(f"http://127.0.0.1:{port}/{page}", timeout=5)
+def test_the_workers_of_a_study_answer_nobody_else(two_workers: Workers) -> None:
+    """Whoever is answered can have any code run: they have no socket at all."""
+    worker = psutil.Process(two_workers.submit(os.getpid).result())
+    assert worker in psutil.Process().children()
+    assert worker.net_connections("all") == []
 
 
 @pytest.mark.parametrize("name", ["lscan", "mitsuba", "drjit", "opencv", "numpy", "scipy"])
@@ -357,12 +337,14 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
     monkeypatch: pytest.MonkeyPatch,
     name: str,
 ) -> None:
-    newer = {**package_versions(), name: "99.0"}
-    monkeypatch.setattr("sim.studies.run.executor.package_versions", lambda: newer)
+    mine = iter([{**package_versions(), name: "99.0"}])  # the workers are asked later
+    monkeypatch.setattr(
+        "sim.studies.run.executor.package_versions", lambda: next(mine, package_versions())
+    )
     (address,) = in_threads.nthreads()
     told = f"the worker at {address}: has another version of {name} .got .*; allowed: 99.0, as here"
     with opened(source, tmp_path) as store, pytest.raises(InputError, match=told):
-        run_rows(source, stub_rows(20), store, in_threads)
+        run_rows(source, stub_rows(20), store, workers_of(in_threads))
     assert evaluated(source) == []
 
 
@@ -373,19 +355,16 @@ def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
     told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
     with (
         pytest.raises(InputError, match=told),
-        open_client(scheduler=in_threads.scheduler.address),
+        open_workers(scheduler=in_threads.scheduler.address),
     ):
         pass
 
 
-class OnAnotherDisk(list[Path]):
+def on_another_disk(link: Path) -> Iterator[Path]:
     """What is done, by workers that see another folder at a path, as if it were another disk."""
-
-    def __iter__(self) -> Iterator[Path]:
-        link = self[0]
-        link.unlink()
-        link.symlink_to(link.with_name("theirs"))
-        return super().__iter__()
+    link.unlink()
+    link.symlink_to(link.with_name("theirs"))
+    yield link
 
 
 def test_a_worker_with_another_disk_of_the_same_name_is_refused(
@@ -393,36 +372,50 @@ def test_a_worker_with_another_disk_of_the_same_name_is_refused(
 ) -> None:
     for name in ("ours", "theirs"):
         (tmp_path / name).mkdir()
-    folder = tmp_path / "shared"
+    folder, workers = tmp_path / "shared", workers_of(in_threads)
     folder.symlink_to(tmp_path / "ours")
-    assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
+    assert list(in_order(workers, str, [folder], str, folder=folder)) == [str(folder)]
     told = r"the worker at .* has another folder of the same name .got '/.*/shared'"
     with pytest.raises(InputError, match=told):
-        list(in_order(in_threads, Path.touch, OnAnotherDisk([folder]), str, folder=folder))
+        list(in_order(workers, Path.touch, on_another_disk(folder), str, folder=folder))
     assert list((tmp_path / "theirs").iterdir()) == []
     folder.unlink()
     folder.symlink_to(tmp_path / "ours")
-    assert list(in_order(in_threads, str, [folder], str, folder=folder)) == [str(folder)]
+    assert list(in_order(workers, str, [folder], str, folder=folder)) == [str(folder)]
     assert list(folder.iterdir()) == []  # nor is the marker of the refused call left
 
 
 def test_a_worker_with_another_file_of_the_same_name_is_refused(
     tmp_path: Path, in_threads: Client
 ) -> None:
-    mesh = tmp_path / "mesh.stl"
+    mesh, workers = tmp_path / "mesh.stl", workers_of(in_threads)
     for content, told in ((b"theirs", "has another file"), (None, "or none")):
         mesh.unlink(missing_ok=True)
         if content is not None:
             mesh.write_bytes(content)
         with pytest.raises(InputError, match=f"the worker at .*{told}.*mesh.stl"):
-            list(in_order(in_threads, str, [1], str, files={str(mesh): "0" * 64}))
+            list(in_order(workers, str, [1], str, files={str(mesh): "0" * 64}))
+
+
+def test_a_cluster_whose_workers_leave_gets_fewer_calls(two_workers: Workers) -> None:
+    """Of eight workers one stays: what was under way is more than it is given."""
+    most = iter([8, 1])
+    leaving = replace(two_workers, most=lambda: next(most, 1))
+    assert list(in_order(leaving, abs, range(-20, 0), str)) == list(range(20, 0, -1))
+
+
+def test_it_is_told_where_no_worker_can_do_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else every row would be said to kill its worker, and be kept so."""
+    monkeypatch.setattr("sim.studies.run.executor._end_with_parent", os.abort)
+    with open_workers(1) as workers, pytest.raises(LscanError, match="cannot evaluate any row"):
+        list(in_order(workers, abs, [-1], str))
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim.studies.run.executor.CONNECT_S", 0.5)
     with (
         pytest.raises(InputError, match="--scheduler: no scheduler answers"),
-        open_client(scheduler="tcp://127.0.0.1:1"),
+        open_workers(scheduler="tcp://127.0.0.1:1"),
     ):
         pass
 

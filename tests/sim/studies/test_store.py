@@ -2,6 +2,8 @@
 
 import errno
 import os
+import resource
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,15 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lscan.errors import InputError
+from lscan.errors import DiskError, InputError
 from lscan.records import Floats
 from sim.studies.problem import Output
 from sim.studies.run.store import (
+    FORMER,
     MANIFEST,
     OK,
     RECORDS,
     Batch,
     Results,
+    ResultStore,
     StudyIdentity,
     open_store,
     require_same_document,
@@ -65,39 +69,85 @@ def test_a_row_is_missing_once_and_whatever_its_zero_and_its_nan_are(tmp_path: P
         assert len(store) == 2
 
 
-def test_a_file_cut_anywhere_keeps_the_records_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)  # takes long, and is no matter here
+def killed_copy(store: ResultStore, folder: Path) -> Path:
+    """What a process leaves behind that is killed now; of it, what is not yet in the database."""
+    shutil.copytree(store.folder, folder)
+    return folder / f"{RECORDS}-wal"
+
+
+def test_a_file_cut_anywhere_keeps_the_records_before(tmp_path: Path) -> None:
     rows = some_rows(4)
-    with open_store(tmp_path, STUDY) as store:
-        ends = [0]
+    with open_store(tmp_path / "store", STUDY) as store:
+        ends = []
         for n in range(4):
             store.append([batch(rows[[n]])])
-            ends.append((tmp_path / RECORDS).stat().st_size)
-    whole = (tmp_path / RECORDS).read_bytes()
-    for length in range(len(whole) + 1):
-        (tmp_path / RECORDS).write_bytes(whole[:length])
-        with open_store(tmp_path, STUDY) as store:
-            kept = sum(end <= length for end in ends[1:])
+            ends.append((tmp_path / "store" / f"{RECORDS}-wal").stat().st_size)
+        whole = killed_copy(store, tmp_path / "whole").read_bytes()
+    anywhere = np.random.default_rng(5).integers(ends[0], ends[-1], 12).tolist()
+    for length in sorted(
+        {*anywhere, *ends, *(end - 1 for end in ends), *(end + 1 for end in ends)}
+    ):
+        folder = tmp_path / f"{length}"
+        shutil.copytree(tmp_path / "whole", folder)
+        (folder / f"{RECORDS}-wal").write_bytes(whole[:length])
+        with open_store(folder, STUDY) as store:
+            kept = sum(end <= length for end in ends)
             np.testing.assert_array_equal(store.missing(rows), rows[kept:])
             store.append([batch(rows[kept:])])
-        assert (tmp_path / RECORDS).read_bytes() == whole
+            found = store.results(rows)
+        assert found.values.tobytes() == batch(rows).results.values.tobytes()
 
 
-@pytest.mark.parametrize("tail", [bytes(200), b"\xff" * 200], ids=["zeros", "ones"])
-def test_what_a_power_failure_leaves_behind_is_cut_off(
-    tmp_path: Path, tail: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
+@pytest.mark.parametrize("tail", [bytes(9000), b"\xff" * 9000], ids=["zeros", "ones"])
+def test_what_a_power_failure_leaves_behind_is_not_read(tmp_path: Path, tail: bytes) -> None:
     rows = some_rows(4)
+    with open_store(tmp_path / "store", STUDY) as store:
+        store.append([batch(rows)])
+        written = killed_copy(store, tmp_path / "killed")
+    written.write_bytes(written.read_bytes() + tail)
+    with open_store(tmp_path / "killed", STUDY) as store:
+        assert store.results(rows).values.tobytes() == batch(rows).results.values.tobytes()
+
+
+def test_a_bit_that_flips_costs_its_row_alone(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = some_rows(6)
     with open_store(tmp_path, STUDY) as store:
         store.append([batch(rows)])
-    whole = (tmp_path / RECORDS).read_bytes()
-    (tmp_path / RECORDS).write_bytes(whole + tail)
+    data = bytearray((tmp_path / RECORDS).read_bytes())
+    data[data.index(batch(rows[[3]]).results.values.tobytes()) + 5] ^= 1
+    (tmp_path / RECORDS).write_bytes(data)
     with open_store(tmp_path, STUDY) as store:
-        assert store.results(rows).values.tobytes() == batch(rows).results.values.tobytes()
-    assert (tmp_path / RECORDS).read_bytes() == whole
-    assert "last 200 bytes are damaged" in caplog.text
+        np.testing.assert_array_equal(store.missing(rows), rows[[3]])
+    assert "1 rows are damaged" in caplog.text
+
+
+@pytest.mark.parametrize("content", [b"no database" * 400, b"SQLite format 3\0" * 400])
+def test_a_file_that_is_no_database_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / RECORDS).write_bytes(content)
+    with pytest.raises(InputError, match=rf"{RECORDS}: .*choose another folder"):
+        open_store(tmp_path, STUDY)
+    assert (tmp_path / RECORDS).read_bytes() == content
+
+
+def test_results_of_an_earlier_lscan_are_told_and_left_as_they_are(tmp_path: Path) -> None:
+    (tmp_path / FORMER).touch()
+    for opening in (
+        lambda: open_store(tmp_path, STUDY),
+        lambda: require_same_document(tmp_path, STUDY.document),
+    ):
+        with pytest.raises(InputError, match=r"an earlier lscan.*another folder"):
+            opening()
+    assert [file.name for file in tmp_path.iterdir()] == [FORMER]
+
+
+def test_a_link_is_not_followed(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").touch()
+    (tmp_path / RECORDS).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="instead of a link"):
+        open_store(tmp_path, STUDY)
+    assert (tmp_path / "elsewhere").stat().st_size == 0
 
 
 @pytest.mark.parametrize(
@@ -144,7 +194,7 @@ def test_a_manifest_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
 
 def test_a_second_process_is_refused(tmp_path: Path) -> None:
     program = (
-        "import sys; from pathlib import Path; from lscan.errors import InputError\n"
+        "import sys; from pathlib import Path; from lscan.errors import DiskError, InputError\n"
         "from sim.studies.run.store import StudyIdentity, open_store\n"
         "try: open_store(Path(sys.argv[1]), StudyIdentity({}, (), ()))\n"
         "except InputError as error: print(error)\n"
@@ -176,22 +226,37 @@ def test_a_file_system_without_locks_is_told_from_another_writer(
     assert "a file system with flock" in str(refused.value)
 
 
-def test_a_disk_that_is_full_leaves_what_was_kept(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = some_rows(6)
-    real = os.write
-
-    def half(descriptor: int, data: bytes) -> int:
-        real(descriptor, bytes(data)[: len(data) // 2])
-        raise OSError(28, "No space left on device")
-
+@pytest.mark.parametrize("refused_by", ["the disk", "the limit for the size of files"])
+def test_a_disk_that_is_full_leaves_what_was_kept(tmp_path: Path, refused_by: str) -> None:
+    rows = some_rows(400)
     with open_store(tmp_path, STUDY) as store:
         store.append([batch(rows[:2])])
-        with monkeypatch.context() as patched:
-            patched.setattr(os, "write", half)
-            with pytest.raises(InputError, match="make room"):
+        limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        pages = store.database.execute("PRAGMA page_count").fetchone()[0]
+        try:
+            if refused_by == "the disk":
+                store.database.execute(f"PRAGMA max_page_count = {pages}")
+            else:
+                size = (tmp_path / f"{RECORDS}-wal").stat().st_size
+                resource.setrlimit(resource.RLIMIT_FSIZE, (size + 1000, limits[1]))
+            with pytest.raises(DiskError, match=rf"{RECORDS}: .*make room on the disk"):
                 store.append([batch(rows[2:])])
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+            store.database.execute("PRAGMA max_page_count = 1000000")
         np.testing.assert_array_equal(store.missing(rows), rows[2:])
         store.append([batch(rows[2:])])
         assert store.results(rows).values.tobytes() == batch(rows).results.values.tobytes()
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+@pytest.mark.parametrize("what", ["folder", "file"])
+def test_what_may_not_be_written_is_told(tmp_path: Path, what: str) -> None:
+    open_store(tmp_path, STUDY).close()
+    place, mode = (tmp_path, 0o500) if what == "folder" else (tmp_path / RECORDS, 0o400)
+    place.chmod(mode)
+    try:
+        with pytest.raises(InputError, match=r"make .* writable"):
+            open_store(tmp_path, STUDY)
+    finally:
+        place.chmod(0o700)

@@ -18,7 +18,7 @@ from sim.studies.budget import Tolerances
 from sim.studies.page import kept
 from sim.studies.problem import Output
 from sim.studies.results import load_results
-from sim.studies.run import executor as runner, running
+from sim.studies.run import running
 from sim.studies.run.running import StudyOptions
 from sim.studies.run.store import Results
 from sim.studies.study import run_study
@@ -290,6 +290,6 @@ def test_a_study_finds_its_tolerances_and_goes_on_with_them(
     assert len(list((tmp_path / "out" / "tolerances").iterdir())) <= STEPS + 2
     assert kept(found.tolerances) in (tmp_path / "out" / "report.html").read_text()
     assert load_results(tmp_path / "out").tolerances == found.tolerances
-    monkeypatch.setattr(runner, "evaluate_rows", None)
+    monkeypatch.setattr(running, "evaluate_rows", None)
     again = run_study(file, tmp_path / "out", StudyOptions("none", resume=True))
     assert again.tolerances == found.tolerances

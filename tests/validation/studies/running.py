@@ -9,11 +9,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
+from concurrent.futures import wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from math import ceil
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 import psutil
@@ -23,7 +24,8 @@ from lscan.errors import LscanError, MeasurementError
 from lscan.files.disk import read_text
 from lscan.records import Floats
 from sim.studies.problem import Output
-from sim.studies.run.executor import open_client, run_rows
+from sim.studies.run.executor import open_workers
+from sim.studies.run.running import run_rows
 from sim.studies.run.store import Results, identity_of, open_store
 from tests.validation.rows import Row, row
 
@@ -112,10 +114,14 @@ def stub_study(source: StubSource, folder: Path, count: int, workers: str) -> Re
     workers: a number, "none", or the address of a scheduler.
     """
     scheduler = workers if ":" in workers else None
-    number = int(workers) if workers.isdigit() else 2
-    with open_store(folder, identity_of(source)) as store:
-        rows = stub_rows(count)
-        return run_rows(source, rows, store, "none" if workers == "none" else number, scheduler)
+    how: int | Literal["none"] = "none" if workers == "none" else 2
+    if workers.isdigit():
+        how = int(workers)
+    with (
+        open_store(folder, identity_of(source)) as store,
+        open_workers(how, scheduler) as able,
+    ):
+        return run_rows(source, stub_rows(count), store, able)
 
 
 def started_study(
@@ -234,15 +240,15 @@ def overhead(workers: int, tasks: int, task_s: float = TASK_S) -> Overhead:
     source = StubSource(row_s=task_s)
     rows = np.random.default_rng(SEED).random((tasks + 2 * workers, 3))
     began_s = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="lscan-study-") as name, open_client(workers) as client:
-        client.wait_for_workers(workers)
-        start_s = time.perf_counter() - began_s
+    with tempfile.TemporaryDirectory(prefix="lscan-study-") as name, open_workers(workers) as able:
+        wait([able.submit(time.sleep, 1.0) for _ in range(workers)])
+        start_s = time.perf_counter() - began_s - 1.0
         with open_store(Path(name), identity_of(source)) as store:
-            run_rows(source, rows[tasks:], store, client)  # each worker has made the problem
+            run_rows(source, rows[tasks:], store, able)  # each worker has made the problem
             children = psutil.Process().children(recursive=True)
             memory = [child.memory_full_info().uss / 2**20 for child in children]
             began_s, began_cpu_s = time.perf_counter(), time.process_time()
-            run_rows(source, rows[:tasks], store, client)
+            run_rows(source, rows[:tasks], store, able)
             cpu_s = time.process_time() - began_cpu_s
             wall_s = time.perf_counter() - began_s
     beyond_s = wall_s - task_s * ceil(tasks / workers)

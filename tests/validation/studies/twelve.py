@@ -16,8 +16,8 @@ from lscan.records import Floats, select
 from sim.scene import Scene, load_scene, scene_of
 from sim.studies.rig.prepared import Prepared, on_board, stated
 from sim.studies.rig.states import ScanPlaces, places_of
-from sim.studies.run.executor import open_client, run_rows
-from sim.studies.run.running import RigSource, StudyOptions
+from sim.studies.run.executor import open_workers
+from sim.studies.run.running import RigSource, StudyOptions, run_rows
 from sim.studies.run.store import identity_of, open_store
 from sim.studies.study import run_study
 from sim.studies.studyfile import Study, study_of
@@ -208,13 +208,15 @@ def seconds_a_row(plane_map: str, rows: int, workers: int) -> Floats:
     study = twelve(plane_map)
     source = source_of(study, assumed(study, scan_places()))
     numbers = np.random.default_rng(SEED).random((rows + 2 * workers, len(study.causes)))
-    with tempfile.TemporaryDirectory(prefix="lscan-study-") as name, open_client(workers) as client:
-        client.wait_for_workers(workers)
-        with open_store(Path(name), identity_of(source)) as store:
-            run_rows(source, numbers[rows:], store, client)
-            seconds = []
-            for part in np.array_split(numbers[:rows], PARTS):
-                began_s = time.perf_counter()
-                run_rows(source, part, store, client)
-                seconds.append((time.perf_counter() - began_s) / len(part))
+    with (
+        tempfile.TemporaryDirectory(prefix="lscan-study-") as name,
+        open_store(Path(name), identity_of(source)) as store,
+        open_workers(workers) as able,
+    ):
+        run_rows(source, numbers[rows:], store, able)
+        seconds = []
+        for part in np.array_split(numbers[:rows], PARTS):
+            began_s = time.perf_counter()
+            run_rows(source, part, store, able)
+            seconds.append((time.perf_counter() - began_s) / len(part))
     return np.array(seconds)
