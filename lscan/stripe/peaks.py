@@ -45,7 +45,7 @@ def order_statistic(columns: GreyValues, rank: int) -> Floats:
 
     Examples
     --------
-    >>> ranked(np.array([[7, 3, 200, 3]], dtype=np.uint8), 2)
+    >>> order_statistic(np.array([[7, 3, 200, 3]], dtype=np.uint8), 2)
     array([7.])
     """
     if not np.issubdtype(columns.dtype, np.integer):

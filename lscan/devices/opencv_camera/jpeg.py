@@ -38,6 +38,8 @@ TAIL = 8
 FILLERS = tuple(bytes.fromhex(each) * (TAIL // 2) for each in ("5a3c", "c391", "2e71"))
 """Coded data of no meaning; one or another happens to decode to what was there, not all."""
 
+FILLED = 128  # grey value of what is missing
+
 _AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
 _LARGEST_START = 512  # a sector of zeros before the picture
 _MARKER = re.compile(rb"\xff+([^\x00\xff])")  # in coded data, 0xFF stands as 0xFF00 (B.1.1.5)
@@ -123,9 +125,11 @@ def is_whole(data: bytes) -> bool:
     runs = _runs(data[layout.start :])
     if len(runs) != len(layout.last_units):
         return False
-    head, needed = data[: layout.start], np.zeros(len(runs), dtype=bool)
+    head = data[: layout.start]
     try:
         image = _decode_runs(head, runs)
+        # Where a unit is as grey as what decoders fill in, exchanged bytes may change nothing.
+        needed = np.array([bool((image[place] == FILLED).all()) for place in _places(layout)])
         if not np.array_equal(image, _decode_runs(head, [run + FILLERS[0] for run in runs])):
             return False
         for filler in FILLERS:
