@@ -60,19 +60,19 @@ def test_derivatives_are_those_of_least_squares(seed: int) -> None:
     values, sigma = rng.normal(100.0, 5.0, 40), rng.uniform(0.1, 8.0, 40)
     run = np.repeat(np.arange(4) - 1, 10)
     values[rng.random(40) < 0.2] = np.nan
-    found = _derivatives(values, sigma, run)
+    of, covariance = _derivatives(values, sigma, run)
     for column in range(40):
         near = np.arange(max(column - REACH_PX, 0), min(column + REACH_PX + 1, 40))
         near = near[(run[near] == run[column]) & (run[column] >= 0) & np.isfinite(values[near])]
         if len(near) < FEWEST_COLUMNS:
-            assert np.isnan(found.of[column]).all()
+            assert np.isnan(of[column]).all()
             continue
         design = np.vander((near - column).astype(float), 3, increasing=True)
         fitted, squares, *_ = np.linalg.lstsq(design, values[near], rcond=None)
         variance = max(float(squares[0]) / max(len(near) - 3, 1), (sigma[near] ** 2).mean())
         inverse = np.linalg.inv(design.T @ design)
-        np.testing.assert_allclose(found.of[column], fitted, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found.covariance[column], inverse * variance, rtol=1e-8)
+        np.testing.assert_allclose(of[column], fitted, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(covariance[column], inverse * variance, rtol=1e-8)
 
 
 def test_a_parabola_is_displaced_by_half_the_variance_times_its_curvature() -> None:
