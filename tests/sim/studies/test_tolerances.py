@@ -290,6 +290,10 @@ def test_a_study_finds_its_tolerances_and_goes_on_with_them(
     assert len(list((tmp_path / "out" / "tolerances").iterdir())) <= STEPS + 2
     assert kept(found.tolerances) in (tmp_path / "out" / "report.html").read_text()
     assert load_results(tmp_path / "out").tolerances == found.tolerances
-    monkeypatch.setattr(running, "evaluate_rows", None)
+
+    def evaluate(*_: object) -> None:
+        raise AssertionError("a run is there already")
+
+    monkeypatch.setattr(running, "evaluate_rows", evaluate)
     again = run_study(file, tmp_path / "out", StudyOptions("none", resume=True))
     assert again.tolerances == found.tolerances
