@@ -292,7 +292,7 @@ class EmulatedCamera:
 HOST = "127.0.0.1"
 STREAM, SNAPSHOT = "/stream.mjpg", "/snapshot.jpg"
 BOUNDARY = "picture"
-LOOK_UP_S = 0.25  # how often a client's thread looks whether the camera was dropped
+LOOK_UP_S = 0.25  # how often a client's thread looks whether it or the camera was dropped
 SNAPSHOT_S = 30.0  # time in which a place is rendered
 SEND_BYTES = 64 * 1024  # about a picture: what waits in the system's buffer is old when read
 
@@ -307,6 +307,7 @@ class MjpegServer(ThreadingTCPServer):
         """Listen at ``port`` of this machine, any free one if 0; InputError where it is taken."""
         self.camera = camera
         self._connections: set[socket.socket] = set()
+        self._clients: list[threading.Thread] = []
         self._lock = threading.Lock()
         try:
             super().__init__((HOST, port), _Client)
@@ -339,18 +340,23 @@ class MjpegServer(ThreadingTCPServer):
         self.shutdown()
         self.drop()
         self.server_close()
-        self._thread.join()
+        for thread in (self._thread, *self._clients):
+            thread.join()
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Remember the connection, so that it can be broken."""
+        """Answer one client in a thread of its own; both are remembered, so that ``close`` can
+        break the connection and wait for the thread (socketserver waits for no daemon)."""
+        thread = threading.Thread(
+            target=self.process_request_thread,
+            args=(request, client_address),
+            name=f"client {client_address[1]}",
+            daemon=True,
+        )
         with self._lock:
             self._connections.add(request)
-        super().process_request(request, client_address)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """Answer one client, in a thread that is known by its name."""
-        threading.current_thread().name = f"client {client_address[1]}"
-        super().process_request_thread(request, client_address)
+        self._clients = [client for client in self._clients if client.is_alive()]
+        thread.start()
+        self._clients.append(thread)
 
     def shutdown_request(self, request: Any) -> None:
         """Forget the connection."""
@@ -395,7 +401,10 @@ class _Client(BaseHTTPRequestHandler):
                 sent = shot.number
 
     def _snapshot(self, camera: EmulatedCamera) -> None:
-        shot = camera.newest(camera.count, SNAPSHOT_S)
+        sent, last_s = camera.count, time.monotonic() + SNAPSHOT_S
+        shot = camera.newest(sent, LOOK_UP_S)
+        while shot is None and time.monotonic() < last_s and not self._hung_up():
+            shot = camera.newest(sent, LOOK_UP_S)
         if shot is None:
             self.send_error(503, "the camera sends nothing")
             return

@@ -85,7 +85,7 @@ def snapshot(hardware: EmulatedHardware) -> Any:
         return from_jpeg(answer.read())
 
 
-def threads_of_hardware() -> list[str]:
-    """Names of the threads that served hardware runs."""
+def threads_of_hardware() -> set[threading.Thread]:
+    """The threads that served hardware runs."""
     names = ("emulated camera", "http", "serial ", "client ")
-    return [t.name for t in threading.enumerate() if t.name.startswith(names)]
+    return {thread for thread in threading.enumerate() if thread.name.startswith(names)}
