@@ -15,8 +15,9 @@ Anything less, or several processes that would share one track, skips them.
 The folder says what a test is, and it is marked so: ``hardware``, ``system`` (several rooms
 together, as a command line or a browser uses them), or ``unit`` for all others.
 
-Property tests draw the same examples each time.  ``make soak`` draws others (the profile
-"soak", with a seed of its own for each round).
+Property tests draw the same examples each time: a quarter of those they state, and all of them by
+``make test-all`` (the profile "full").  ``make soak`` draws others (the profile "soak", with a seed
+of its own for each round).
 """
 
 import os
@@ -39,7 +40,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # as many of them render as there are c
 os.environ.setdefault("LSCAN_PHOTONS", "131072")
 
 # No deadline: a test that is slow on a busy machine is no wrong test.
-settings.register_profile("quick", deadline=None, derandomize=True)
+settings.register_profile("quick", deadline=None, derandomize=True, max_examples=25)
+settings.register_profile("full", deadline=None, derandomize=True)
 settings.register_profile("soak", deadline=None, derandomize=False, print_blob=True)
 settings.load_profile("quick")
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 from scipy.spatial.transform import Rotation
 from truth_scenes import BOARD, in_head, tank
@@ -33,7 +34,7 @@ from sim.scene import (
 from sim.truth import board_truth, project, slice_visibility, stripe_truth
 from sim.truth.visibility import passing_mm
 
-FEW = settings(max_examples=25)
+FEW = examples(25)
 LEVEL = {"point_mm": [0.0, 0.0, 500.0], "direction": [1.0, 0.0, 0.0]}
 
 shafts = st.builds(

@@ -4,7 +4,8 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 
 from lscan.errors import InputError
@@ -31,7 +32,7 @@ def check(*figures: float, key: str = "lengths") -> Topic:
     return Topic(key, "Lengths", "Two <rods> & a ruler.", tuple(row(value) for value in figures))
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(figure=st.floats(-1e9, 1e9), bar=st.floats(0, 1e9))
 def test_a_row_passes_where_its_figure_is_no_larger_than_its_bar(figure: float, bar: float) -> None:
     assert row(figure, bar).passed == (figure <= bar)

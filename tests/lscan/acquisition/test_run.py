@@ -14,8 +14,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from drawn_examples import examples
 from fake_devices import FakeCamera, FakeTrack, fake_rig, folder_bytes
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from lscan.acquisition.run import FrameRow, Manifest, Run, first_difference, open_run
 from lscan.acquisition.scan import acquire_into
@@ -63,7 +64,7 @@ def test_a_run_is_shown_in_a_line(recorded: Run) -> None:
 # Rows
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(row=ROWS)
 def test_a_row_reads_back_with_the_same_bits(row: FrameRow) -> None:
     back = FrameRow.from_text(row.as_text(), where="here")
@@ -71,7 +72,7 @@ def test_a_row_reads_back_with_the_same_bits(row: FrameRow) -> None:
     assert bits(back) == bits(row)
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(row=ROWS, data=st.data())
 def test_a_row_cut_anywhere_is_torn(row: FrameRow, data: st.DataObject) -> None:
     text = row.as_text()
@@ -89,7 +90,7 @@ def test_a_row_of_numpy_numbers_is_written_as_plain_ones() -> None:
 # Pictures
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(seed=st.integers(0, 2**32 - 1), colour=st.booleans())
 def test_pictures_read_back_exactly(
     tmp_path_factory: pytest.TempPathFactory, seed: int, colour: bool
@@ -144,7 +145,7 @@ def meaning(run: Run) -> tuple[Any, ...]:
     return run.rows, run.state, run.software, run.rig_file.document, run.rig_file.rig
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(
     name=st.sampled_from(["run.json", "frames.csv", "frames/000002.png"]),
     place=st.floats(0, 1, exclude_max=True),

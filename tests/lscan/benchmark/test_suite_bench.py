@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import suite_cases
 from command_line import call, refused
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.special import ndtr
 from scipy.stats import wilcoxon
@@ -231,7 +232,7 @@ def test_the_pseudo_median_belongs_to_the_signed_ranks(values):
 
 
 @given(st.integers(0, 10**6), st.integers(30, 80))
-@settings(max_examples=20)
+@examples(20)
 def test_the_interval_is_what_the_signed_rank_test_does_not_reject(seed, count):
     """Shifted by its ends, the values have a p of 5 %: a rank more or less moves it by a tenth."""
     values = np.random.default_rng(seed).normal(0.3, 1.0, count)
@@ -271,7 +272,7 @@ def test_a_difference_says_which_way(figure, change, words):
     assert words in Difference("ml", figure, True, change, 0.001, 40, (change, change)).in_words
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(seed=st.integers(0, 10**6), cases=st.integers(0, 12))
 def test_the_paired_test_is_antisymmetric(seed, cases):
     """What is worse one way is better the other way, whatever the numbers; few cases say little."""

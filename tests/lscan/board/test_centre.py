@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.board.picture import disc_height, fit_centres, window_sigma
 
@@ -15,7 +16,7 @@ def grid() -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(u0=st.floats(-0.5, 0.5), v0=st.floats(-0.5, 0.5), width=st.floats(1.2, 3.0))
-@settings(max_examples=50)
+@examples(50)
 def test_the_middle_of_a_round_gaussian_is_exact(u0: float, v0: float, width: float) -> None:
     # A symmetric mark has its maximum in its middle whatever the weights; what remains is that
     # the window is cut at four sigmas, at weights of 3.4e-4: a shift below that times 3 px.

@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.board import chessboard as chesslattice
 from lscan.board.chessboard import find_lattice, read_chessboard
@@ -46,7 +47,7 @@ def test_a_plain_board_is_read_right() -> None:
     assert min(np.abs(found - t).max() for t in (truth, truth[::-1])) < 1.0
 
 
-@settings(max_examples=6)
+@examples(6)
 @given(
     slivers=st.tuples(*[st.sampled_from([0.0, 0.15, 0.3, 0.5])] * 4),
     turn=st.tuples(st.floats(-25, 25), st.floats(-25, 25), st.floats(-10, 10)),

@@ -6,7 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import PAPER_BOARD
 from typer.testing import CliRunner
 
@@ -28,7 +29,7 @@ def discs(svg: str) -> np.ndarray:
     return np.array(rows) * [1, -1, 2]
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     columns=st.integers(3, 12),
     rows=st.integers(3, 12),

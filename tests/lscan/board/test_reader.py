@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from boards import Light, View, render
-from hypothesis import Phase, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import Phase, given, strategies as st
 from places import ROOT, SUPPORT
 
 from lscan.board import draw_overlay, read_board
@@ -71,7 +72,7 @@ def assert_right(reading: BoardReading, view: View, board: Board) -> None:
 
 @pytest.mark.slow
 @given(view=VIEWS, light=LIGHTS, seed=st.integers(0, 2**31))
-@settings(max_examples=20, phases=(Phase.explicit, Phase.generate))
+@examples(20, phases=(Phase.explicit, Phase.generate))
 def test_every_dot_in_view_is_found_in_its_place(view: View, light: Light, seed: int) -> None:
     # At these poses each row and column of the board is at least partly in view.
     picture = render(PLAIN, view, light, seed)
@@ -164,7 +165,7 @@ def test_a_transposed_board_gives_a_transposed_reading() -> None:
 
 
 @given(shake=st.lists(st.floats(-0.22, 0.22), min_size=6, max_size=6))
-@settings(max_examples=8)
+@examples(8)
 def test_rough_seeds_by_hand_give_the_automatic_reading(
     paper: tuple[View, Bytes, BoardReading], shake: list[float]
 ) -> None:

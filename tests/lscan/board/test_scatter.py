@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 from boards import Light, View
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import PAPER_BOARD
 
 from lscan.board import read_board
@@ -30,7 +31,7 @@ def _lattice(scatter_px, sigma_px, seed, shape=(10, 10)):
     return Nodes(values.reshape(rows, columns, 4))
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(ratio=st.floats(2.5, 20.0), missing=st.integers(0, 10), seed=st.integers(0, 2**32 - 1))
 def test_the_ratio_is_that_of_scatter_to_sigma(ratio, missing, seed):
     """Differences share dots: over 1000 lattices of 100 dots their median scatters by 12 % of
@@ -44,7 +45,7 @@ def test_the_ratio_is_that_of_scatter_to_sigma(ratio, missing, seed):
     assert np.mean(found) == pytest.approx(ratio, rel=0.01 + 4 * 0.154 / 4)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(seed=st.integers(0, 999), wrong=st.integers(0, 4))
 def test_a_smooth_lattice_has_none_though_some_dots_are_wrong(seed, wrong):
     """Four dots are in a third of all differences."""

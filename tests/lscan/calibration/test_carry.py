@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of
 from planeviews import View, paper_board, read_board
 from scipy.spatial.transform import Rotation
@@ -60,7 +61,7 @@ def solved() -> Refractive:
     return found
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(temperature_c=TEMPERATURES, salinity_psu=SALINITIES)
 def test_exact_in_any_water(solved: Refractive, temperature_c: float, salinity_psu: float) -> None:
     """The same rig seen through other water: 1e-6 mm, what the solution from exact marks leaves."""
@@ -145,7 +146,7 @@ def metric() -> Metric:
     return calibrate_metric(views, known(rig), SIZE).plane_map
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(temperature_c=TEMPERATURES, salinity_psu=SALINITIES)
 def test_a_metric_map_is_exact_in_any_water(
     metric: Metric, temperature_c: float, salinity_psu: float

@@ -5,7 +5,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from planeviews import BARREL, View, paper_board, read_board, with_noise
 from scipy import stats
 
@@ -57,7 +58,7 @@ def _check(view: View, name: str = "spline", placed_mm: float | None = None) -> 
 # --- motions ------------------------------------------------------------------------------
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(
     turn=st.floats(-3.1, 3.1),
     shift=st.tuples(st.floats(-90, 90), st.floats(-90, 90)),

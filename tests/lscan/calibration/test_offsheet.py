@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from planeviews import paper_board
 from scipy.spatial.transform import Rotation
 
@@ -60,7 +61,7 @@ def test_a_board_moved_back_looks_smaller_and_is_behind_by_as_much():
     assert found.corners_mm == pytest.approx(np.full(4, 3.0), abs=1e-9)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     shift=st.tuples(*[st.floats(-20, 20)] * 3),
     tilt_deg=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import example, given, strategies as st
 from planeviews import BARREL, View, board_points, paper_board, read_board, views
 
 from lscan.calibration.calibrate import calibrate, outliers, resolve, without_outliers
@@ -53,7 +54,7 @@ def count_of(reading: BoardReading) -> int:
     return sum(len(marks.status) for marks in all_marks(reading))
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(view=views(), seed=st.integers(0, 99))
 def test_sound_readings_are_untouched(view: View, seed: int) -> None:
     """Whatever lens, port and pose: what such a board shows is never taken for wrong."""
@@ -104,7 +105,7 @@ def test_sound_corners_of_coarse_boards_are_untouched() -> None:
     assert named <= 3
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(seed=st.integers(0, 99), mark=st.integers(0, 53))
 def test_a_mark_off_by_a_tenth_of_the_spacing_of_a_coarse_board_is_named(
     seed: int, mark: int
@@ -115,7 +116,7 @@ def test_a_mark_off_by_a_tenth_of_the_spacing_of_a_coarse_board_is_named(
     assert np.flatnonzero(outliers(displaced(reading, np.array([mark]), shift))).tolist() == [mark]
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(seed=st.integers(0, 999), count=st.integers(1, 5))
 @example(seed=593, count=1)  # a corner: the fit follows it all but a twentieth of its way
 @example(seed=204, count=5)  # two neighbours and a corner, whose other neighbour was named

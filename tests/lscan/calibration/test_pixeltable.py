@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from planeviews import View, board_points, paper_board, read_board
 
 from lscan.calibration.maps.refractive import Refractive, solver
@@ -32,7 +33,7 @@ def test_the_rectangle_holds_the_region() -> None:
     np.testing.assert_array_equal(HIGH, [602.0, 442.0])
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=16, max_size=16))
 def test_cubics_are_exact(coefficients: list[float]) -> None:
     """Four coefficients along each axis hold every polynomial of the third degree."""
@@ -77,7 +78,7 @@ def test_no_values_and_no_pixels() -> None:
     assert table_of(lambda px: px).look_up(np.zeros((0, 2))).shape == (0, 2)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(st.integers(0, 3 * BLOCK), st.integers(0, 3 * BLOCK))
 def test_a_pixel_has_the_same_bytes_in_any_company(first: int, count: int) -> None:
     table = table_of(lambda px: np.sin(px / 200) @ np.arange(1.0, 15.0).reshape(2, 7))

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 from calibrations import drawn_calibration
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 from peak_memory import refused_within
 
@@ -57,7 +58,7 @@ def change(data: st.DataObject, content: Any) -> None:
 
 
 @pytest.mark.parametrize("name", [*MAPS, "metric"])
-@settings(max_examples=40)
+@examples(40)
 @given(data=st.data())
 def test_a_mutated_calibration_is_read_or_refused(
     saved: dict[str, str],

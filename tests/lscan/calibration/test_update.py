@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of
 from planeviews import BARREL, View, paper_board, read_board
 
@@ -66,7 +67,7 @@ def _enlarged(view: View, factor: float) -> BoardReading:
     )
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(
     scale=st.floats(-0.1, 0.1),
     shift=st.tuples(st.floats(-5, 5), st.floats(-5, 5)),

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from camera_strategies import FLAT_PORT, LENS
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.camera import CameraModel, PortModel, rays
 from lscan.camera.posedboards import (
@@ -74,7 +75,7 @@ def assert_alike(found: Floats, expected: Floats) -> None:
 
 
 @pytest.mark.parametrize("port", ["flat", "none"])
-@settings(max_examples=6)
+@examples(6)
 @given(camera=CAMERAS, seed=st.integers(0, 1000))
 def test_derivatives_agree_with_differences(
     port: PortKind, camera: dict[str, float], seed: int

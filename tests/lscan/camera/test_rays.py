@@ -4,14 +4,15 @@ import cv2
 import numpy as np
 import pytest
 from camera_strategies import FLAT_PORT, LENS
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.camera import CameraModel, PortModel, project, rays
 from lscan.camera.optics import fold_radius
 from lscan.errors import InputError
 from lscan.records import Floats
 
-MANY = settings(max_examples=60)
+MANY = examples(60)
 PORTS = st.builds(PortModel, **FLAT_PORT, water_index=st.floats(1.0, 1.345))
 CAMERAS = st.builds(CameraModel, **LENS, port=st.none() | PORTS)
 

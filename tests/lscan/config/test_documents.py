@@ -4,7 +4,8 @@ import os
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from peak_memory import refused_within
 from places import SCENES
 
@@ -30,7 +31,7 @@ TABLES = st.recursive(
 ).filter(lambda value: isinstance(value, dict))
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(a=TABLES, b=TABLES)
 def test_merging_keeps_every_key_and_the_later_wins(a: dict, b: dict) -> None:
     assert merge(a, {}) == merge({}, a) == a
@@ -183,7 +184,7 @@ def test_a_path_through_a_loop_of_links_is_left_to_its_reader(tmp_path: Path) ->
     assert read_document(tmp_path / "top.toml")["m"]["file"] == str(tmp_path / "loop" / "mesh.ply")
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(data=st.data())
 def test_a_mutated_scene_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

@@ -5,7 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.config.documents import toml_text, write_toml
 from lscan.errors import InputError
@@ -21,7 +22,7 @@ values = st.recursive(
 )
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(st.dictionaries(texts, values, max_size=4))
 def test_what_is_written_is_read_back(document: dict[str, Any]) -> None:
     assert tomllib.loads(toml_text(document, "# Comments\n# stand first.")) == document

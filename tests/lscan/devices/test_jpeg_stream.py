@@ -14,7 +14,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import example, given, strategies as st
 from loopback import listening
 
 from lscan.config.rig import CameraSection
@@ -79,7 +80,7 @@ def packet(data: bytes) -> Bytes:
 # ---- one packet -------------------------------------------------------------------------
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(width=st.integers(1, 90), height=st.integers(1, 90), pad=st.sampled_from([b"", b"\0\0\r\n"]))
 def test_a_packet_has_the_size_it_says(width: int, height: int, pad: bytes) -> None:
     image = decode_jpeg(jpeg_file(packet(jpeg(np.full((height, width, 3), 90, np.uint8)) + pad)))
@@ -116,7 +117,7 @@ SAMPLING = (0x411111, 0x221111, 0x211111, 0x121111, 0x111111)
 
 # The last unit of a run is as grey as what decoders fill in where data are missing.
 @example(size_px=(5, 90), quality=5, restart=3, sampling=0x111111, flat=False, progressive=False)
-@settings(max_examples=60)
+@examples(60)
 @given(
     size_px=st.tuples(st.integers(1, 90), st.integers(1, 90)),
     quality=st.integers(5, 100),
@@ -179,7 +180,7 @@ def test_most_pictures_broken_inside_are_known(way: str, restart: int) -> None:
     assert taken <= 4
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(share=st.floats(0, 1, exclude_max=True))
 def test_a_packet_cut_short_is_no_picture(share: float) -> None:
     data = jpeg(picture(7))

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 import pytest
 from device_contract import CameraContract
+from drawn_examples import examples
 from fake_capture import HEIGHT_PX, WIDTH_PX, World, scene_of
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from lscan.acquisition.scan import scan
 from lscan.config.rig import CameraSection, parse_rig
@@ -291,7 +292,7 @@ def test_strict_settings_refuse_it_by_name(name: str) -> None:
     assert world.released == 1
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(asked=st.floats(0, 1e6), got=st.floats(0, 1e6))
 def test_a_number_is_obeyed_within_one_per_cent(asked: float, got: float) -> None:
     assert Setting("gain", asked, got).obeyed == (abs(got - asked) <= 0.01 * asked)
@@ -299,7 +300,7 @@ def test_a_number_is_obeyed_within_one_per_cent(asked: float, got: float) -> Non
     assert not Setting("gain", asked, None).obeyed
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(letters=st.text(st.characters(min_codepoint=33, max_codepoint=126), min_size=4, max_size=4))
 def test_a_pixel_format_is_read_back_as_it_was_written(letters: str) -> None:
     assert fourcc_text(float(cv2.VideoWriter.fourcc(*letters))) == letters

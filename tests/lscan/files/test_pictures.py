@@ -8,7 +8,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from peak_memory import refused_within
 from png_files import HUGE, chunk, grey_png
 
@@ -211,7 +212,7 @@ def mutated(data: st.DataObject, content: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-@settings(max_examples=150)
+@examples(150)
 @given(data=st.data())
 def test_a_mutated_picture_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, ending: str, data: st.DataObject
@@ -227,7 +228,7 @@ def test_a_mutated_picture_is_read_or_refused(
         assert image.size <= 3 * MOST_PX
 
 
-@settings(max_examples=300)
+@examples(300)
 @given(
     start=st.sampled_from(
         [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II\x2a\0", b"RIFF"]

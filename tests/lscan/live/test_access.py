@@ -3,7 +3,8 @@
 import socket
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from lscan.live.server import Access, grant
@@ -193,7 +194,7 @@ def test_a_token_that_no_address_can_hold_is_refused(token):
         grant("127.0.0.1", 8765, token)
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(host=st.text(max_size=40), origin=st.none() | st.text(max_size=40), cookie=st.text())
 def test_no_header_gets_past_a_token_unknown(host, origin, cookie):
     assert refused(grant("192.0.2.7", 8765, TOKEN), host, origin=origin, cookie=cookie)

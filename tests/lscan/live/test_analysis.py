@@ -4,7 +4,8 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from planeviews import View, paper_board, read_board
 from stripe_pictures import light_of
 
@@ -108,7 +109,7 @@ def test_the_sharpness_of_a_gaussian_is_the_closed_form(width_px):
     assert sharpness(light, 0.0) == pytest.approx(expected, rel=0.01)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     width_px=st.floats(1, 5),
     wider=st.floats(1.1, 2),

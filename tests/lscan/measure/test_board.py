@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import PAPER_BOARD
 
 from lscan.config.board import load_board
@@ -172,7 +173,7 @@ def arc(centre: Floats, radius: float, degrees: float, count: int = 40) -> Float
 
 
 @given(coordinates, coordinates, st.floats(1, 200), st.floats(30, 350))
-@settings(max_examples=60)
+@examples(60)
 def test_circle_is_exact_on_exact_points(x: float, z: float, radius: float, span: float) -> None:
     centre = np.array([x, z])
     circle = fit_circle(arc(centre, radius, span), np.full(40, 0.01))

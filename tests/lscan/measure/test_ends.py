@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.stats import norm
 
 from lscan.config.targets import GroovedBlock
@@ -38,7 +39,7 @@ def ends(line: Trace) -> tuple[Floats, Floats]:
 
 
 @given(st.floats(0, PITCH_MM), st.floats(0.5, 1.5), st.floats(35, 45))
-@settings(max_examples=30)
+@examples(30)
 def test_ends_without_noise_are_exact(left: float, blur: float, right: float) -> None:
     place, own = ends(top(left, right, blur, 0.0, 0))
     # The model is the one drawn: only the fit's weak priors pull, whose least standard deviation
@@ -47,7 +48,7 @@ def test_ends_without_noise_are_exact(left: float, blur: float, right: float) ->
 
 
 @given(st.integers(-50, 50), st.integers(0, 30))
-@settings(max_examples=15)
+@examples(15)
 def test_ends_move_with_the_top_and_scale_with_nothing_bright(shift: int, seed: int) -> None:
     one = top(0.3, 40.2, 0.8, 0.1, seed)
     here, sigma = ends(one)
@@ -90,7 +91,7 @@ def test_false_light_moves_an_end_outwards_by_about_what_is_stated(false_light: 
 
 
 @given(st.floats(0.5, 3.0), st.integers(0, 30))
-@settings(max_examples=15)
+@examples(15)
 def test_more_speckle_is_never_stated_as_less(factor: float, seed: int) -> None:
     """The same draw of speckle, ``factor`` times as strong; a fit's own freedom leaves 5 %."""
     less, more = (ends(top(0.3, 40.2, 0.8, c, seed))[1] for c in (0.05, 0.05 * (1 + factor)))
@@ -104,7 +105,7 @@ lengths = st.lists(st.tuples(st.floats(9.9, 10.1), st.floats(0.01, 0.1)), min_si
 
 
 @given(lengths, st.floats(0, 0.2))
-@settings(max_examples=50)
+@examples(50)
 def test_a_mean_lies_among_its_values_and_keeps_what_is_common(
     pairs: list[tuple[float, float]], common: float
 ) -> None:

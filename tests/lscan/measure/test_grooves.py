@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.config.targets import Groove, GroovedBlock
 from lscan.errors import InputError, MeasurementError
@@ -97,7 +98,7 @@ def replace_widths() -> GroovedBlock:
 
 
 @given(**poses)
-@settings(max_examples=40)
+@examples(40)
 def test_heights_are_exact_and_widths_within_sampling(
     tilt_deg: float, x_mm: float, z_mm: float
 ) -> None:
@@ -110,7 +111,7 @@ def test_heights_are_exact_and_widths_within_sampling(
 
 
 @given(**poses)
-@settings(max_examples=40)
+@examples(40)
 def test_brightness_at_the_ends_determines_parts_of_a_column(
     tilt_deg: float, x_mm: float, z_mm: float
 ) -> None:
@@ -123,7 +124,7 @@ def test_brightness_at_the_ends_determines_parts_of_a_column(
 
 
 @given(**poses, seed=st.integers(0, 10_000))
-@settings(max_examples=40)
+@examples(40)
 def test_noise_moves_heights_as_little_as_the_fit_allows(
     tilt_deg: float, x_mm: float, z_mm: float, seed: int
 ) -> None:

@@ -7,7 +7,8 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 from shape_surfaces import dome, plan, surface_of
 
@@ -49,7 +50,7 @@ def test_distances_from_a_box_are_the_closed_form() -> None:
         assert smooth.mean() > 0.995  # the rest lie within a step of where the nearest face changes
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seed=st.integers(0, 10_000), spread=st.floats(0.1, 50.0))
 def test_the_nearest_place_is_that_of_all_triangles(seed: int, spread: float) -> None:
     """Triangles of every size and shape in no order."""

@@ -4,7 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 from shape_surfaces import RADIUS_MM, common_errors, dome, plan, points_of, ridge
 
@@ -190,7 +191,7 @@ angles = st.floats(-3.0, 3.0)
 shifts = st.floats(-500.0, 500.0)
 
 
-@settings(max_examples=25, deadline=None)
+@examples(25)
 @given(kind=st.sampled_from(["sphere", "cylinder"]), turn=st.tuples(*3 * [angles]),
        shift=st.tuples(*3 * [shifts]))  # fmt: skip
 def test_a_moved_shape_is_found_moved(

@@ -9,8 +9,9 @@ from importlib.resources import files
 import cv2
 import numpy as np
 import pytest
-import report_examples as examples
-from hypothesis import given, settings, strategies as st
+import report_examples
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.calibration.maps.graticule import DrawnConversion
 from lscan.config.targets import Sandwave
@@ -54,7 +55,7 @@ def _plane(step_mm: float, offset_mm: float) -> np.ndarray:
     return np.stack([x, y, 0.3 * x - 0.7 * y + 5], axis=2)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.integers(1, 4), st.floats(-5, 5))
 def test_grid_keeps_a_plane_sampled_evenly(per_cell, offset):
     """The tent weights' first moment vanishes on a lattice whose step divides the cell."""
@@ -65,7 +66,7 @@ def test_grid_keeps_a_plane_sampled_evenly(per_cell, offset):
     np.testing.assert_allclose(grid.z_mm[inner], plane[inner], atol=1e-9)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(st.integers(0, 2**32 - 1), st.integers(-50, 50))
 def test_grid_averages_and_moves_with_its_points(seed, cells):
     points = np.random.default_rng(seed).normal(0, 10, (200, 3))
@@ -94,7 +95,7 @@ def test_cell_is_no_finer_than_the_scan_nor_than_the_page_can_carry():
 
 
 def test_svg_is_stable_follows_the_theme_and_keeps_its_ids_apart():
-    row = row_fits(examples.board_alone().board)
+    row = row_fits(report_examples.board_alone().board)
     first, again = line_fits(row), line_fits(row)
     assert first == again
     ids = re.findall(r' id="([^"]+)"', first.body)
@@ -143,7 +144,7 @@ def test_marks_without_a_place_are_not_drawn():
 
 
 def test_control_points_counts_what_was_found():
-    reading = examples.reading(np.random.default_rng(1))
+    reading = report_examples.reading(np.random.default_rng(1))
     image = np.zeros((480, 640), np.uint8)
     figure = control_points(image, reading)
     found = int(reading.grid.found.sum())
@@ -201,7 +202,7 @@ def test_sensitivity_reports_move_and_inflections():
 
 def test_the_shifted_point_moves_its_own_row_alone():
     """The spline goes through the point that was moved up by a pixel; a quadratic averages."""
-    row = row_fits(examples.board_alone().board)
+    row = row_fits(report_examples.board_alone().board)
     shift = row.shifted_px - row.points_px
     assert np.count_nonzero(shift) == 1 and shift[5, 1] == -1.0
     moved = {}
@@ -312,7 +313,7 @@ def test_reliefs_say_tilt_count_and_corners():
 
 
 def test_the_levelled_relief_says_how_far_apart_the_corners_are():
-    sandwave = examples.experiment().sandwave
+    sandwave = report_examples.experiment().sandwave
     figure = levelled_relief(sandwave.raw.xyz_mm, sandwave.alignment)
     left, right = (
         sandwave.alignment.to_raw(np.array([*corner, sandwave.alignment.base_mm]))
@@ -322,7 +323,9 @@ def test_the_levelled_relief_says_how_far_apart_the_corners_are():
 
 
 def test_contours_say_yaw_shift_and_slices():
-    sandwave = examples.sandwave_measures(np.random.default_rng(1), examples.workpiece_mm(90, 160))
+    sandwave = report_examples.sandwave_measures(
+        np.random.default_rng(1), report_examples.workpiece_mm(90, 160)
+    )
     waves = on_the_waves(sandwave)
     before = contours_before(sandwave, waves)
     turned = sandwave.raw.xyz_mm @ sandwave.alignment.rotation.T
@@ -338,7 +341,7 @@ def test_contours_say_yaw_shift_and_slices():
 
 
 def test_surface_to_turn_is_plain_json_without_nan():
-    points = examples.workpiece_mm(60, 60)
+    points = report_examples.workpiece_mm(60, 60)
     points[20:30, 20:30] = np.nan
     script = surface_to_turn(points, np.isfinite(points[..., 2])).script
     assert script.startswith('Plotly.newPlot("surface", [{"type": "surface"')
@@ -346,7 +349,7 @@ def test_surface_to_turn_is_plain_json_without_nan():
 
 
 @given(st.floats(-1e3, 1e3))
-@settings(max_examples=50)
+@examples(50)
 def test_signed_reads_back(value):
     text = signed(value, 3)
     assert text[0] in "+−"

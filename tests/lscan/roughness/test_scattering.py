@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from lscan.roughness import (
@@ -92,7 +93,7 @@ def test_soft_and_hard_ground_in_closed_form(density: float) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(
     gamma2=st.floats(2.1, 3.9), khz=st.floats(5, 500), phi=st.floats(-1, 9), angle=st.floats(2, 88)
 )
@@ -116,7 +117,7 @@ def test_small_slopes_join_small_roughness_and_kirchhoff(
     assert float(slope) == pytest.approx(float(kirchhoff), abs=1e-3)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(gamma2=st.floats(2.2, 3.8))
 def test_the_structure_function_is_the_integral_of_the_spectrum(gamma2: float) -> None:
     """2 int W2 (1 - cos(K R)) over the plane: 4 pi int W2(K) (1 - J0(K)) K dK at R = 1 cm.

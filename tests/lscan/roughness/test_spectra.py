@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from rough_patches import patch, wave, whole
 
 from lscan.errors import InputError, MeasurementError
@@ -27,7 +28,7 @@ def test_tapers_are_orthonormal() -> None:
     np.testing.assert_allclose(tapers @ tapers.T, np.eye(5), atol=1e-12)
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(seed=st.integers(0, 2**31), rows=st.integers(16, 40), columns=st.integers(16, 40))
 def test_the_integral_of_a_spectrum_is_the_mean_square_under_its_tapers(
     seed: int, rows: int, columns: int

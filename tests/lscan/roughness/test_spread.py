@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import example, given, strategies as st
 from rough_patches import holes, patch, wave
 
 from lscan.roughness import fit_waves, ripple_spread
@@ -35,7 +36,7 @@ def _found(z_cm, heading_deg, seen=None):
     return ripple_spread(cells, fit_waves(cells, SIZE * np.array([np.sin(way), np.cos(way)])))
 
 
-@settings(max_examples=10)
+@examples(10)
 @example(heading=118.0, missing=0.1, seed=0)  # found by make soak
 @example(heading=0.0, missing=0.1, seed=0)
 @given(heading=st.floats(0, 179), missing=st.sampled_from([0.0, 0.1]), seed=st.integers(0, 99))

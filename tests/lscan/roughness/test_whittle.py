@@ -4,7 +4,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from rough_patches import drawn, holes, patch, whole
 
 import lscan.roughness.whittle as module
@@ -49,7 +50,7 @@ def test_the_periodogram_has_its_expectation(gamma2: float) -> None:
         assert abs(values.mean() - 1) < 4 * values.std(ddof=1) / np.sqrt(len(values))
 
 
-@settings(max_examples=6, deadline=None)
+@examples(6)
 @given(seed=st.integers(0, 2**31), times=st.floats(0.1, 10), longer=st.floats(0.2, 5))
 def test_the_law_goes_with_the_units(seed: int, times: float, longer: float) -> None:
     """Heights c times as large: w2 c² times; lengths s times as long: s^(2 - gamma2) times."""

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.stripe.fit import centre_bound_px, lines
 from lscan.stripe.picture import Noise
@@ -12,7 +13,7 @@ from lscan.stripe.picture import Noise
 FOURTH_ORDER = 1e-3
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(width=st.floats(1.2, 6.0), ratio=st.floats(5, 500), phase=st.floats(-0.5, 0.5))
 def test_additive_noise_gives_the_closed_form(width, ratio, phase):
     # (sigma_n / A) sqrt(2 w / sqrt(pi)), docs/explanation/physics.md, section 4; the height sinks
@@ -23,7 +24,7 @@ def test_additive_noise_gives_the_closed_form(width, ratio, phase):
     np.testing.assert_allclose(bound, closed, rtol=FOURTH_ORDER)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(width=st.floats(1.2, 6.0), gain=st.floats(0.01, 2.0), phase=st.floats(-0.5, 0.5))
 def test_shot_noise_gives_the_width_over_the_root_of_the_electrons(width, gain, phase):
     electrons = 100.0 * width * np.sqrt(2 * np.pi) / gain
@@ -32,7 +33,7 @@ def test_shot_noise_gives_the_width_over_the_root_of_the_electrons(width, gain, 
     np.testing.assert_allclose(bound, np.sqrt((width**2 + 1 / 12) / electrons), rtol=FOURTH_ORDER)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     width=st.floats(0.6, 5.0),
     read=st.floats(0.1, 5.0),
@@ -56,7 +57,7 @@ def test_the_bound_is_of_the_shape_of_its_arguments():
     assert both[0] == pytest.approx(centre_bound_px(1.0, 100.0, noise)[0], rel=1e-9)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_models_jacobian_is_its_derivatives(seed):
     rng = np.random.default_rng(seed)

@@ -1,7 +1,8 @@
 """The light of a line's core, whatever lies beside it."""
 
 import numpy as np
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from lines_drawn import drawn
 
 from lscan.records import Status, Stripe
@@ -9,7 +10,7 @@ from lscan.stripe.peaks import BESIDE_CORE_PX, CORE_PX, core_flux
 
 HEIGHT, WIDTH = 60, 40
 WIDTH_PX = 1.0
-FEW = settings(max_examples=20)
+FEW = examples(20)
 
 
 def stripe(centre, status=Status.OK):

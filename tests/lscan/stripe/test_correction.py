@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.ndimage import gaussian_filter
 
 from lscan.config.rig import StripeSection
@@ -52,7 +53,7 @@ def errors(centre: Curve, flux: Curve, blur_px: float) -> tuple[Floats, Floats, 
     return (found.centre_px - truth)[inner], (sharp.centre_px - truth)[inner], sharp
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(st.integers(0, 10_000))
 def test_derivatives_are_those_of_least_squares(seed: int) -> None:
     """Column by column, by NumPy's own solver, with gaps and unknown values anywhere."""
@@ -98,7 +99,7 @@ def test_a_sloping_line_of_exponential_brightness_is_displaced_by_their_product(
     st.floats(0.0, 0.5),
     st.floats(0.0, 6.0),
 )
-@settings(max_examples=12)
+@examples(12)
 def test_waves_of_uneven_brightness_come_back(
     blur_px: float, height: float, wave: float, contrast: float, phase: float
 ) -> None:
@@ -135,7 +136,7 @@ def test_nothing_changes_without_blur_or_without_a_line() -> None:
 
 
 @given(st.floats(-20, 20), st.floats(0.1, 10))
-@settings(max_examples=10)
+@examples(10)
 def test_shifted_lines_and_brighter_light_are_corrected_alike(by: float, gain: float) -> None:
     settings_ = StripeSection(blur_px=1.0)
     wave = lambda u: 48 + 5 * np.sin(0.1 * u)  # noqa: E731

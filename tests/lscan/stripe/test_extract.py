@@ -4,7 +4,8 @@ from inspect import signature
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
@@ -31,7 +32,7 @@ def same(first, second):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=15)
+@examples(15)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_rows_are_the_columns_of_the_transposed_picture(name, seed):
     image = np.random.default_rng(seed).integers(0, 256, (40, 25, 3), dtype=np.uint8)
@@ -44,7 +45,7 @@ def test_rows_are_the_columns_of_the_transposed_picture(name, seed):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=15)
+@examples(15)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_subtracting_the_background_gives_the_stripe_of_the_line_alone(name, seed):
     line, _ = line_picture(seed)
@@ -76,7 +77,7 @@ def test_grey_weighs_the_colours():
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=25)
+@examples(25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     amplitude=st.floats(300, 20_000),

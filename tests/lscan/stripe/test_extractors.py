@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from stripe_pictures import HEIGHT, centres_of, light_of, noisy, nothing_clipped, settings_for
 
 from lscan.config.rig import NoiseSection, StripeSection
@@ -51,7 +52,7 @@ def some_picture(seed, columns=48):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=12)
+@examples(12)
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(-15, 15))
 def test_a_shift_by_whole_pixels_shifts_the_line(name, seed, shift):
     image, read, _ = some_picture(seed)
@@ -63,7 +64,7 @@ def test_a_shift_by_whole_pixels_shifts_the_line(name, seed, shift):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=12)
+@examples(12)
 @given(seed=st.integers(0, 2**32 - 1), gain=st.floats(0.2, 5.0))
 def test_gain_does_not_move_the_line_nor_its_sigma(name, seed, gain):
     image, read, _ = some_picture(seed)
@@ -76,7 +77,7 @@ def test_gain_does_not_move_the_line_nor_its_sigma(name, seed, gain):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=12)
+@examples(12)
 @given(seed=st.integers(0, 2**32 - 1), offset=st.integers(-100, 100))
 def test_an_even_background_does_not_move_the_line(name, seed, offset):
     image, read, _ = some_picture(seed)
@@ -85,7 +86,7 @@ def test_an_even_background_does_not_move_the_line(name, seed, offset):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=12)
+@examples(12)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_upside_down_is_mirrored(name, seed):
     image, read, _ = some_picture(seed)
@@ -97,7 +98,7 @@ def test_upside_down_is_mirrored(name, seed):
 # -- against the truth --------------------------------------------------------------------
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     width=st.floats(0.6, 6.0),
@@ -112,7 +113,7 @@ def test_ml_finds_a_noise_free_line_on_a_sloping_ground(seed, width, tilt):
 
 
 @pytest.mark.parametrize("name", NAMES[1:])
-@settings(max_examples=15)
+@examples(15)
 @given(seed=st.integers(0, 2**32 - 1), width=st.floats(0.7, 5.0))
 def test_sigma_covers_the_rules_own_error_on_a_noise_free_line(name, seed, width):
     centre = centres_of(np.random.default_rng(seed), 100)
@@ -169,7 +170,7 @@ def test_sigma_is_the_scatter_over_random_lines(name, stated):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=10)
+@examples(10)
 @given(seed=st.integers(0, 2**32 - 1), more=st.floats(1.1, 4.0))
 def test_sigma_rises_with_the_noise(name, seed, more):
     image, read, _ = some_picture(seed)
@@ -179,7 +180,7 @@ def test_sigma_rises_with_the_noise(name, seed, more):
     assert np.median(loud.sigma_px[kept] / calm.sigma_px[kept]) > 1
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(width=st.floats(1.5, 5.0), contrast=st.floats(0.1, 0.5))
 def test_speckle_moves_the_centroid_of_squares_as_the_closed_form_says(width, contrast):
     # C² times the sum of (I dc/dI)², dc/dI = 2 I x / sum I²: for a Gaussian the fourth powers
@@ -267,7 +268,7 @@ def test_a_line_cut_by_the_border_has_no_value(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@settings(max_examples=25)
+@examples(25)
 @given(seed=st.integers(0, 2**32 - 1), span=st.integers(1, 20), stated=st.booleans())
 def test_any_picture_gives_values_exactly_where_the_status_says_so(name, seed, span, stated):
     rng = np.random.default_rng(seed)

@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from lines_drawn import drawn, speckled
 from pydantic import ValidationError
 from scipy.ndimage import gaussian_filter
@@ -20,7 +21,7 @@ HEIGHT, WIDTH = 200, 300
 COLUMN = np.arange(WIDTH)
 CENTRE = 95 + 25 * np.sin(COLUMN / 60)
 ONE = np.ones(1)
-FEW = settings(max_examples=8)
+FEW = examples(8)
 
 
 def picture(target, seed=1, centres=CENTRE[None], shares=ONE, clips_dn=255):

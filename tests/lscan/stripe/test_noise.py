@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from stripe_pictures import centres_of, light_of, noisy
 
 from lscan.config.rig import NoiseSection, StripeSection
@@ -10,7 +11,7 @@ from lscan.stripe import extract_stripe
 from lscan.stripe.picture import Noise, difference_noise, scatter_noise, stated_noise
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     seed=st.integers(0, 2**32 - 1),
     gain=st.floats(0.05, 1.0),

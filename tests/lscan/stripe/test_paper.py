@@ -4,7 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import assume, given, strategies as st
 from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
@@ -97,7 +98,7 @@ def test_nominal_peak_is_the_underlined_pixel(frame, peak):
 
 
 @pytest.mark.parametrize("extract", ALL)
-@settings(max_examples=30)
+@examples(30)
 @given(seed=st.integers(0, 2**32 - 1), shift=st.integers(-15, 15))
 def test_a_shift_by_whole_pixels_shifts_the_line(extract, seed, shift):
     image = pictures(seed)
@@ -108,7 +109,7 @@ def test_a_shift_by_whole_pixels_shifts_the_line(extract, seed, shift):
 
 
 @pytest.mark.parametrize("extract", ALL)
-@settings(max_examples=30)
+@examples(30)
 @given(seed=st.integers(0, 2**32 - 1), gain=st.floats(0.1, 5.0))
 def test_gain_does_not_move_the_line(extract, seed, gain):
     image = pictures(seed)
@@ -118,7 +119,7 @@ def test_gain_does_not_move_the_line(extract, seed, gain):
 
 
 @pytest.mark.parametrize("extract", [rules.maximum, rules.centroid_relative])
-@settings(max_examples=30)
+@examples(30)
 @given(seed=st.integers(0, 2**32 - 1), offset=st.integers(-100, 100))
 def test_an_even_background_does_not_move_the_relative_line(extract, seed, offset):
     image = pictures(seed)
@@ -135,7 +136,7 @@ def test_an_even_background_draws_the_raw_centroid_to_the_nominal_peak():
 
 
 @pytest.mark.parametrize("extract", ALL)
-@settings(max_examples=30)
+@examples(30)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_upside_down_is_mirrored_where_the_maximum_is_single(extract, seed):
     image = pictures(seed)
@@ -145,7 +146,7 @@ def test_upside_down_is_mirrored_where_the_maximum_is_single(extract, seed):
     np.testing.assert_allclose(flipped.sigma_px, upright.sigma_px, rtol=1e-6)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(first=st.integers(3, 60), equal=st.integers(2, 10))
 def test_of_equal_maxima_the_first_from_the_top_is_the_peak(first, equal):
     image = column_of(first, [200] * equal, height=80)
@@ -189,7 +190,7 @@ def bias_bound(centre, width, span, relative):
 
 
 @pytest.mark.parametrize("extract", CENTROIDS)
-@settings(max_examples=60)
+@examples(60)
 @given(
     centre=st.floats(30, 50),
     width=st.floats(0.4, 1.5),
@@ -210,7 +211,7 @@ def test_the_bias_vanishes_with_a_large_span(extract):
     np.testing.assert_allclose(stripe.centre_px, centre, atol=ROUNDING)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(centre=st.floats(30, 49), shift=st.floats(0, 1), width=st.floats(0.5, 1.2))
 def test_a_shift_by_part_of_a_pixel_shifts_the_line_within_the_bounds(centre, shift, width):
     places = np.array([centre, centre + shift])
@@ -221,7 +222,7 @@ def test_a_shift_by_part_of_a_pixel_shifts_the_line_within_the_bounds(centre, sh
     assert abs(moved - shift) <= bounds.sum() + ROUNDING
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(centre=st.floats(30, 50), width=st.floats(0.5, 3.0))
 def test_the_brightest_pixel_is_within_half_a_pixel(centre, width):
     stripe = run(rules.maximum, gaussian_line(centre, width))
@@ -232,7 +233,7 @@ def test_the_brightest_pixel_is_within_half_a_pixel(centre, width):
 
 
 @pytest.mark.parametrize("extract", ALL)
-@settings(max_examples=20)
+@examples(20)
 @given(seed=st.integers(0, 2**32 - 1), threshold=st.integers(1, 100))
 def test_nothing_above_the_threshold_is_no_peak(extract, seed, threshold):
     rng = np.random.default_rng(seed)
@@ -267,7 +268,7 @@ def test_a_window_cut_by_the_border_has_no_value(extract, span):
 
 
 @pytest.mark.parametrize("extract", ALL)
-@settings(max_examples=40)
+@examples(40)
 @given(seed=st.integers(0, 2**32 - 1), span=st.integers(1, 30))
 def test_any_picture_gives_values_exactly_where_the_status_says_so(extract, seed, span):
     rng = np.random.default_rng(seed)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from lines_drawn import drawn, lit_share, speckled
 
 from lscan.config.rig import StripeSection
@@ -15,7 +16,7 @@ HEIGHT, WIDTH = 120, 200
 COLUMN = np.arange(WIDTH)
 UPPER = 40 + 8 * np.sin(COLUMN / 30)
 LOWER = 75 + 6 * np.sin(COLUMN / 25)
-FEW = settings(max_examples=10)
+FEW = examples(10)
 
 
 def chosen(light, returns="brightest", seed=1, contrast=0.2):

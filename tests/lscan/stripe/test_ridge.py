@@ -4,7 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from lines_drawn import drawn, speckled
 
 from lscan.config.rig import NoiseSection, StripeSection
@@ -14,7 +15,7 @@ from lscan.stripe.peaks import crests, line_width
 from lscan.stripe.ridge import steger
 
 HEIGHT, WIDTH = 90, 150
-FEW = settings(max_examples=12)
+FEW = examples(12)
 SLOPES = st.floats(-0.6, 0.6)
 
 

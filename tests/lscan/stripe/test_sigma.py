@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.stats import norm
 
 from lscan.config.rig import StripeSection
@@ -79,7 +80,7 @@ def test_two_sigma_cover_the_truth_where_the_window_cuts_the_line(extract, span,
 
 
 @pytest.mark.parametrize("extract", [rules.centroid, rules.centroid_relative])
-@settings(max_examples=30)
+@examples(30)
 @given(values=st.permutations([20.0, 60.0, 110.0, 140.0]))
 def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
     # A single column, without neighbours to scatter against, has the noise of rounding only.

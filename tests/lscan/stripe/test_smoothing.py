@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.records import Status, Stripe
 from lscan.stripe.corrections import smooth
@@ -10,7 +11,7 @@ from lscan.stripe.peaks import pieces
 
 N = 200
 COLUMN = np.arange(N, dtype=float)
-FEW = settings(max_examples=15)
+FEW = examples(15)
 
 
 def stripe_of(centre, sigma=0.1, status=None):

@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from lines_drawn import drawn, speckled
 from scipy.special import ndtr
 
@@ -28,7 +29,7 @@ from lscan.stripe.picture import constant_variance, robust_variance
 
 HEIGHT, WIDTH = 260, 60
 COLUMN = np.arange(WIDTH)
-FEW = settings(max_examples=25, deadline=None)
+FEW = examples(25)
 
 
 def picture(seed: int, middle: float, width_px: float, peak: float, others: int) -> Bytes:
@@ -65,7 +66,7 @@ def test_windows_hold_the_spots_of_the_whole_picture(image: Bytes, threshold_dn:
 
 
 @pytest.mark.parametrize("name", ["ml", "max", "centroid", "centroid-relative"])
-@settings(max_examples=8, deadline=None)
+@examples(8)
 @given(images=st.lists(pictures, min_size=2, max_size=4), cut=st.integers(0, 1))
 def test_lines_found_together_are_those_of_each_picture(
     name: str, images: list[Bytes], cut: int

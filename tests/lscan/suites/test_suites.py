@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import suite_cases
 from command_line import call
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from plugin_packages import install_package
 
 import lscan.suites.files
@@ -80,7 +81,7 @@ def _assert_rounded(layers, exact):
         assert np.all((1 / half <= ratio) & (ratio <= half)), name
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(light=st.lists(st.floats(0, 15_000), min_size=6, max_size=6))
 def test_layers_are_kept_to_a_rounding_of_their_logarithm(light):
     """Those of light beyond the last step stay at it; those of a step are kept exactly."""
@@ -233,7 +234,7 @@ def _refused(path):
     return message
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(data=st.data())
 def test_harmed_archives_are_refused(archive, tmp_path_factory, data):
     """Any bit flipped, any cut, anything appended."""
@@ -251,7 +252,7 @@ def test_harmed_archives_are_refused(archive, tmp_path_factory, data):
     _refused(file)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(data=st.data())
 def test_a_harmed_member_of_a_folder_is_named(folder, data):
     names = sorted(open_suite(folder).content.members)
@@ -313,7 +314,7 @@ def test_a_compressed_archive_is_refused(folder, tmp_path):
     assert f"member {MANIFEST} is compressed" in _refused(bomb)
 
 
-@settings(max_examples=50, deadline=None)
+@examples(50)
 @given(st.binary(max_size=200))
 def test_what_is_no_manifest_and_no_truth_is_refused(data):
     for read in (read_manifest, partial(read_table, LINE_TRUTH)):

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.config.rig import SheetSection
 from lscan.errors import InputError
@@ -70,7 +71,7 @@ def test_a_level_plane_and_a_slope_are_left_alone() -> None:
     st.floats(0.3, 1.2),
     st.floats(-60, 60),
 )
-@settings(max_examples=40)
+@examples(40)
 def test_the_displacement_is_that_of_the_integral(
     xx: float, xy: float, yy: float, x1: float, y1: float, sigma: float, apex: float
 ) -> None:

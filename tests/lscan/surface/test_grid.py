@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Status, Surface
@@ -27,7 +28,7 @@ def plain(seed: int = 0, size: float = 30.0) -> Surface:
 
 
 @given(st.integers(0, 50), st.integers(-40, 40), st.integers(-40, 40), st.floats(-500, 500))
-@settings(max_examples=25)
+@examples(25)
 def test_whole_cells_of_shift_move_the_grid(seed: int, i: int, j: int, dz: float) -> None:
     one = plain(seed)
     here = grid_cells(one, 3.0)
@@ -40,7 +41,7 @@ def test_whole_cells_of_shift_move_the_grid(seed: int, i: int, j: int, dz: float
 
 
 @given(st.integers(0, 50))
-@settings(max_examples=20)
+@examples(20)
 def test_the_order_of_the_points_is_of_no_account(seed: int) -> None:
     one = plain(seed)
     assert one.modes_mm is not None
@@ -51,7 +52,7 @@ def test_the_order_of_the_points_is_of_no_account(seed: int) -> None:
 
 
 @given(st.floats(1.0, 5.0), st.integers(0, 20))
-@settings(max_examples=20)
+@examples(20)
 def test_sigma_grows_with_the_points(factor: float, seed: int) -> None:
     one = plain(seed)
     here = grid_cells(one, 4.0)

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from lscan.records import PlanePoints, Status, Stripe, has_value
@@ -80,7 +81,7 @@ def test_sigma_is_the_maps_combination():
     np.testing.assert_allclose(profile.points.sigma_mm, np.full((3, 2), 0.13), rtol=1e-12)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(
     codes=st.lists(st.sampled_from(list(Status)), min_size=1, max_size=40),
     limit=st.floats(0, 20),

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Ints, Surface
@@ -73,7 +74,7 @@ def rough(generator: np.random.Generator, rms_mm: float = 0.4) -> Relief:
 
 
 @given(wave_mm=st.floats(3.5, 60.0))
-@settings(max_examples=25)
+@examples(25)
 def test_small_waves_are_shown_with_the_gain_stated(wave_mm: float) -> None:
     """Of an amplitude of 1e-4 of the wave's length what is not linear is 1e-3 of it."""
     amplitude, k = 1e-4 * wave_mm, 2 * np.pi / wave_mm

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
@@ -38,7 +39,7 @@ def plane(a: float, b: float, c: float) -> Surface:
 
 
 @given(st.floats(-50, 50), st.floats(-1, 1), st.floats(-1, 1), st.floats(10, 140))
-@settings(max_examples=20)
+@examples(20)
 def test_planes_are_met_exactly(a: float, b: float, c: float, y: float) -> None:
     cut = resample(plane(a, b, c), (np.array([10.0, y]), np.array([140.0, 145.0 - y])))
     assert (cut.status == Status.OK).all()
@@ -53,7 +54,7 @@ def test_places_along_the_line() -> None:
 
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(20, 130))
-@settings(max_examples=20)
+@examples(20)
 def test_quadratics_are_met_exactly(a: float, b: float, c: float, y: float) -> None:
     def height(x: Floats, y: Floats) -> Floats:
         return a * (x - 75) ** 2 + b * (x - 75) * (y - 75) + c * (y - 75) ** 2

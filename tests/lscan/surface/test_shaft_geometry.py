@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from rotary_scans import turned
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +17,7 @@ from lscan.records import Floats, PlanePoints, Profile, Status
 from lscan.surface import load_surface, save_surface
 from lscan.surface.shaft import PARAMETERS, Shaft, load_shaft, section_of, shaft_of, stack_about
 
-FEW = settings(max_examples=25)
+FEW = examples(25)
 EXACT = np.zeros((PARAMETERS, PARAMETERS))
 
 coordinates = st.floats(-300, 300)

@@ -11,7 +11,8 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from peak_memory import refused_within
 
 from lscan.errors import InputError
@@ -252,7 +253,7 @@ def classic(saved: Path) -> Path:
     return path
 
 
-@settings(max_examples=75)
+@examples(75)
 @pytest.mark.parametrize("kind", ["saved", "classic"])
 @given(data=st.data())
 def test_a_mutated_surface_is_read_or_refused(

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from lscan.water import (
@@ -94,7 +95,7 @@ def test_index_under_pressure_is_that_of_iapws(mpa, index):
     assert rise == pytest.approx(index - PRESSURES[0][1], abs=2 * digit)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     t=st.floats(0, 30),
     psu=st.floats(0, 35),

@@ -10,7 +10,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import ROOT
 from truth_scenes import tank
 
@@ -344,7 +345,7 @@ def test_boards_need_a_board(spec_file, tmp_path):
         make_suite(load_suite_spec(file), tmp_path / "wrong.zip", workers="none")
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(sizes=st.lists(st.integers(1, 4), min_size=1, max_size=4), seed=st.integers(0, 99))
 def test_a_covering_has_every_pair_and_less_than_the_product(sizes, seed):
     axes = [tuple(map(str, range(size))) for size in sizes]

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 
 from lscan.calibration.metric.views import load_views
@@ -40,7 +41,7 @@ def small(scene: Scene) -> Scene:
     return changed(changed(scene, "lens", **lens), "render", samples=1)
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(seed=st.integers(0, 2**31 - 1), scene=st.sampled_from([WATER, AIR]))
 def test_every_board_is_wholly_in_view_and_crossed_by_the_line(seed: int, scene: Scene) -> None:
     """By the truth: all dots and the plate's corners show, and the line is lit on the face."""
@@ -61,7 +62,7 @@ def _yaw(scene: Scene) -> np.ndarray:
     return np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(seed=st.integers(0, 2**31 - 1))
 def test_poses_keep_to_their_ranges_and_differ(seed: int) -> None:
     middle = np.array([[90.0, 0.0, -60.0]])  # of the dots of metric/dots.toml

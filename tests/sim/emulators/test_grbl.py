@@ -1,7 +1,8 @@
 """The emulated controller against Grbl 1.1's documentation, and its motion in closed form."""
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.devices.grbl.dialogue import StatusReport, parse_line
 from sim.emulators.grbl import GrblEmulator, SimulatedTime
@@ -207,7 +208,7 @@ def test_a_move_takes_the_time_of_its_ramps() -> None:
     assert Ramp.to_rest(50.0, 200.0).at(1.0)[0] == pytest.approx(6.25)  # v²/2a
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(
     length=st.floats(0.01, 1000),
     top=st.floats(0.1, 1000),

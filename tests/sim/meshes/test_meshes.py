@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 
 from lscan.config.board import Board, Grid
@@ -131,7 +132,7 @@ def test_wedges_stand_where_the_nominal_shape_says() -> None:
     assert ends["S3"][0][1] == pytest.approx(139.5, abs=0.05)
 
 
-@settings(max_examples=5)
+@examples(5)
 @given(grain=st.floats(0.8, 3.0), seed=st.integers(0, 100))
 def test_sand_lies_on_the_block_no_thicker_than_its_grains(grain: float, seed: int) -> None:
     piece, sand = Sandwave(), Sand(grain_mm=grain, seed=seed)
@@ -145,7 +146,7 @@ def test_sand_lies_on_the_block_no_thicker_than_its_grains(grain: float, seed: i
     assert 0.2 * grain < height.mean() < 0.5 * grain
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(turn=st.floats(-180, 180), tilt=st.floats(-20, 20), x=st.floats(-100, 100))
 def test_placing_a_target_is_rigid(turn: float, tilt: float, x: float) -> None:
     moved = target_mesh(
@@ -203,7 +204,7 @@ def test_the_red_block_is_dark_under_the_green_laser() -> None:
 
 
 @given(nm=st.floats(500, 650))
-@settings(max_examples=50)
+@examples(50)
 def test_an_albedo_is_linear_between_its_pairs(nm: float) -> None:
     expected = 0.1 + (nm - 500) * 0.002 if nm <= 600 else 0.3 + (nm - 600) * 0.008
     assert reflectance_at(PAIRS, nm) == pytest.approx(expected, rel=1e-12)
@@ -228,7 +229,7 @@ def test_every_part_has_the_targets_finish_and_the_floor_none() -> None:
     assert floor.finish == Finish()
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(
     corner=st.tuples(st.floats(-100, 100), st.floats(-100, 100)),
     size=st.tuples(st.floats(1, 300), st.floats(1, 300)),

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from pydantic import ValidationError
 
 from lscan.errors import InputError
@@ -52,7 +53,7 @@ def test_the_field_has_nothing_beyond_its_wavelengths_and_is_stretched_across() 
         assert rough_density(block, 2 * np.pi / np.array([length_cm]), np.array([0.0]))[0] == 0
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(crests=st.floats(0, 1), heading=st.floats(-180, 180))
 def test_ripples_span_their_height_over_their_wavelength(crests: float, heading: float) -> None:
     ripples = Ripples(wavelength_mm=10, height_mm=3, heading_deg=heading, crests=crests)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from lscan.files.meshes import load_mesh
@@ -120,7 +121,7 @@ def test_other_files_that_a_mesh_names_are_not_opened(tmp_path: Path, named: str
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=60)
+@examples(60)
 @given(data=st.data())
 def test_a_mutated_mesh_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, kind: str, data: st.DataObject

@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import assume, given, strategies as st
 from places import SCENES
 
 from lscan.errors import InputError
@@ -101,7 +102,7 @@ def grid(count: int = 9) -> Floats:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     focal=st.floats(500, 1200),
     k1=st.floats(-0.3, 0.2),
@@ -144,7 +145,7 @@ def test_a_ray_passes_through_what_its_pixel_sees(
     np.testing.assert_allclose(back, pixels, atol=0.005)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     radius=st.floats(20, 100),
     thickness=st.floats(1, 15),
@@ -255,7 +256,7 @@ def lens_in_air(aperture_mm: float, focus_mm: float, **size: int) -> RefractiveC
     return camera
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(
     aperture=st.floats(0.5, 10),
     focus=st.floats(200, 3000),

@@ -7,7 +7,8 @@ import drjit as dr
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from lscan.files.meshes import load_mesh
@@ -30,8 +31,8 @@ FINISHES = [
 ]
 NAMES = [f"{finish.kind}-{finish.roughness}" for finish in FINISHES]
 finishes = pytest.mark.parametrize("finish", FINISHES, ids=NAMES)
-few = settings(max_examples=5)
-some = settings(max_examples=10)
+few = examples(5)
+some = examples(10)
 
 
 def square(finish: Finish, albedo: float = 0.5, paint: Paint | None = None) -> MeshPart:

@@ -7,7 +7,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import example, given, strategies as st
 from integrator_cases import (
     DRY,
     RUNS,
@@ -32,7 +33,7 @@ from sim.scene.matter import AmbientLight, Penumbra
 from sim.water import Optics
 from tests.validation.light.scattering import stock_medium
 
-FEW = settings(max_examples=15)
+FEW = examples(15)
 LASER = Laser(
     power_mw=3, apex_mm=(0, 0, 0), fan_half_angle_deg=35, waist_mm=2, waist_distance_mm=400,
     port_tilt_deg=8,

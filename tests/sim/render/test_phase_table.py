@@ -6,7 +6,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from water_sphere import integral
 
 from lscan.records import Floats
@@ -23,7 +24,7 @@ WATERS = {
     "one lobe": Water(particle_scattering_per_m=0.5, phase="henyey-greenstein", asymmetry=0.95),
 }
 every_water = pytest.mark.parametrize("name", WATERS)
-FEW = settings(max_examples=20)
+FEW = examples(20)
 SINGLE = 2.0**-24  # half a unit in the last place of single precision
 STEEPEST = 2.0  # no peak here is steeper than angle^-2
 

@@ -3,7 +3,8 @@
 import mitsuba as mi
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.records import Floats
 from sim.render.plugins.camera import (
@@ -22,8 +23,8 @@ from tests.validation.light.rigs import TracedPort, dielectric, port_shapes
 FOCAL_PX = 850.0
 GLASS, WATER = 1.488, 1.3313
 # A traced example costs a kernel, about a third of a second.
-RIGS = settings(max_examples=12)
-MANY = settings(max_examples=60)
+RIGS = examples(12)
+MANY = examples(60)
 
 
 def bundle(count: int, pupil_mm: float, widest_deg: float, seed: int) -> tuple[Floats, Floats]:

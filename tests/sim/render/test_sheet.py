@@ -5,7 +5,8 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats, vectors
@@ -18,7 +19,7 @@ INDEX, NM = (
     650.0,
 )  # fresh water, red diode: docs/explanation/physics.md, section 1
 STILL = Pose(np.eye(3), np.zeros(3))
-FEW = settings(max_examples=25)
+FEW = examples(25)
 # Positions of up to 1000 mm in single precision: half a unit in the last place is 3e-5 mm,
 # and a rotated coordinate is a sum of three products of them.
 POSITION_MM = 2e-4

@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 from truth_scenes import tank
 
@@ -121,7 +122,7 @@ def test_a_bent_board_s_parts_fit(errors: dict[str, float]) -> None:
     assert np.all(plate.face_normals[:, 1] < 0)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(ppm=scales)
 def test_a_scaled_print_is_a_board_whose_file_is_scaled(ppm: float) -> None:
     """Seen the same, where the larger board is moved so that the middles meet."""
@@ -141,7 +142,7 @@ def test_a_scaled_print_is_a_board_whose_file_is_scaled(ppm: float) -> None:
     np.testing.assert_allclose(seen_px(printed), seen_px(made), rtol=0, atol=1e-9)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(seed=st.integers(0, 2**31 - 1), at=st.floats(-20, 20))
 def test_no_errors_change_nothing(seed: int, at: float) -> None:
     plain, same = board(at=(0.0, at, 0.0)), board(at=(0.0, at, 0.0), seed=seed)

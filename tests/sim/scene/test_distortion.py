@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import assume, given, strategies as st
 
 from lscan.camera.optics import CameraModel, fold_radius, undistort
 from lscan.records import Floats
@@ -97,7 +98,7 @@ def test_a_lens_that_hardly_grows_but_nowhere_folds_is_fine(focal_px: float) -> 
     assert not folded(focal_px, centre, **terms)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(
     k1=st.floats(-0.4, 0.3),
     k2=st.floats(-0.1, 0.2),

@@ -1,7 +1,8 @@
 """A scene's numbers by their keys."""
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from sim.scene import load_scene
@@ -18,7 +19,7 @@ KEYS = {
 }
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(st.data())
 def test_what_was_put_in_comes_out_and_the_rest_stays(data: st.DataObject) -> None:
     chosen = data.draw(st.lists(st.sampled_from(sorted(KEYS)), unique=True))

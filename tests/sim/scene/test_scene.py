@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 
 from lscan.errors import InputError
@@ -166,7 +167,7 @@ def test_the_camera_looks_down_at_the_sheet_from_a_metre() -> None:
     assert reach == pytest.approx(1000, abs=1e-3)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(yaw=st.floats(-40, 40), position=st.floats(-500, 500))
 def test_the_track_runs_along_y_and_the_sheet_is_yawed(yaw: float, position: float) -> None:
     """In the head frame the track's direction is (sin yaw, cos yaw, 0)."""
@@ -178,7 +179,7 @@ def test_the_track_runs_along_y_and_the_sheet_is_yawed(yaw: float, position: flo
     np.testing.assert_allclose(track_in_head, [np.sin(angle), np.cos(angle), 0], atol=1e-12)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(
     depression=st.floats(-80, 80), heading=st.floats(-180, 180), roll=st.floats(-180, 180),
     x=st.floats(-1e3, 1e3),

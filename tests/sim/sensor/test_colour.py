@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from sensor_scenes import EXPOSURE_MS, layers_of, line, sensor_scene
 
 from sim.sensor import Webcam
@@ -20,7 +21,7 @@ def test_the_mosaic_starts_as_its_name_says(pattern: str) -> None:
     assert np.array_equal(mosaic[2:4, 4:6], mosaic[:2, :2])
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     pattern=st.sampled_from(PATTERNS), height=st.integers(4, 21), width=st.integers(4, 21),
     seed=st.integers(0, 2**31 - 1),

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 from sensor_scenes import layers_of, sensor_scene
 
@@ -51,7 +52,7 @@ def opened(track: SimTrack, **options: object) -> SimCamera:
     return camera_driver.open(rig_with(**options), track)
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     target=st.floats(60, 250), gamma=st.floats(1, 2.5), gain=st.floats(1, 3),
     peak=st.floats(1e-3, 10),

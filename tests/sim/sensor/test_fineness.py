@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.special import ndtr
 from sensor_scenes import EXPOSURE_MS, sensor_scene
 from truth_scenes import tank
@@ -75,7 +76,7 @@ def test_a_pixel_in_one_part_displaces_a_thin_line_by_the_closed_form(sigma_px: 
     assert np.abs(errors).max() > 0.005
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     sigma_px=st.floats(0.3, 0.8),
     phase=st.floats(-0.5, 0.5),
@@ -96,7 +97,7 @@ def test_pixels_in_parts_do_not_displace_a_line(
     assert abs(error) <= 0.002
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     fineness=st.integers(1, 3),
     blur_px=st.floats(0.0, 2.0),

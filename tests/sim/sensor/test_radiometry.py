@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from sensor_scenes import EXPOSURE_MS, layers_of, sensor_scene
 
 from sim.scene import Lens
@@ -42,7 +43,7 @@ def test_a_lambertian_plane_under_a_lamp(distance_mm: float) -> None:
     assert electrons[24, 32, 1] == pytest.approx(0.33 * photons, rel=0.01)
 
 
-@settings(max_examples=12)
+@examples(12)
 @given(
     k1=st.floats(-0.3, 0.1), k2=st.floats(0, 0.08), p=st.floats(-0.005, 0.005),
     focal_px=st.floats(600, 1200),

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from sensor_scenes import EXPOSURE_MS, layers_of, sensor_scene
 
 from sim.scene import Scene, Sensor
@@ -148,7 +149,7 @@ def test_the_laser_goes_to_the_red_channel() -> None:
     assert blue / red == pytest.approx(response.blue / response.red, abs=0.5 / red)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(
     electrons=st.floats(0, 4e4), gain=st.floats(0.2, 4), gamma=st.floats(1, 3),
 )  # fmt: skip
@@ -159,7 +160,7 @@ def test_digitising_is_monotone_and_in_range(electrons: float, gain: float, gamm
     assert 0 <= low <= high <= 255
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(dn=st.integers(60, 254), gain=st.floats(1, 4), gamma=st.floats(1, 3))
 def test_electrons_of_undoes_digitising(dn: int, gain: float, gamma: float) -> None:
     sensor = Sensor(gain=gain, gamma=gamma, full_well_e=20000.0)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from sensor_scenes import EXPOSURE_MS, centroids, layers_of, line, sensor_scene
 
 from lscan.records import Floats
@@ -56,7 +57,7 @@ def test_limits_of_contrast() -> None:
     assert large == pytest.approx(np.sqrt(4 / np.pi) / 50, rel=1 / 50)
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(pixel=st.floats(1, 12), f_number=st.floats(1, 8), nm=st.floats(450, 700))
 def test_contrast_depends_on_grains_per_pixel_alone(
     pixel: float, f_number: float, nm: float

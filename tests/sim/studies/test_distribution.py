@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import example, given, strategies as st
 from scipy import stats
 
 from lscan.config.documents import Document, check
@@ -48,7 +49,7 @@ def test_quantiles_are_scipys(stated: Document, reference: stats.rv_continuous) 
     np.testing.assert_allclose(found, reference.ppf(shares), rtol=1e-12, atol=1e-12)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(st.sampled_from(STATED), st.floats(0.001, 0.999), st.floats(0.001, 0.999))
 def test_quantiles_rise(stated: Document, one: float, other: float) -> None:
     spread = Distribution.model_validate(stated)
@@ -56,7 +57,7 @@ def test_quantiles_rise(stated: Document, one: float, other: float) -> None:
     assert spread.quantile(low) <= spread.quantile(high)
 
 
-@settings(max_examples=60)
+@examples(60)
 @example({"triangular": (0.0, 1.0, 4.0)}, 0.0)
 @given(st.sampled_from(STATED), st.floats(0.0, 3.0))
 def test_drawn_in_the_spread_is_in_proportion(stated: Document, factor: float) -> None:

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from SALib.analyze import sobol
 
 from lscan.records import Floats
@@ -109,7 +110,7 @@ def test_indices_agree_with_those_of_salib(design: Design, values: Floats) -> No
             assert abs(index.value - other[kind][k]) < reach
 
 
-@settings(max_examples=20, deadline=None)
+@examples(20)
 @given(scale=st.floats(1e-6, 1e6) | st.floats(-1e6, -1e-6), shift=st.floats(-1e3, 1e3))
 def test_the_unit_and_the_zero_of_an_error_do_not_matter(scale: float, shift: float) -> None:
     """Shifted by 1000 standard deviations or so, squares lose six of 16 digits."""
@@ -242,7 +243,7 @@ def test_the_base_grows_until_the_intervals_are_narrow_enough() -> None:
     assert max(widths + [g.total.half_width for g in found.groups.values()]) <= 0.05
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(width=st.floats(1e-3, 10), wanted=st.floats(1e-3, 1), sets=st.integers(1, 1000))
 def test_the_next_base_is_a_power_of_two_in_reach(width: float, wanted: float, sets: int) -> None:
     bounded = Bounded(0.5, 0.5 - width, 0.5 + width)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from sim.studies.problem import (
@@ -26,7 +27,7 @@ def drawn(base: int, apart: int, seed: int = 0) -> Design:
     return make_design(CAUSES, base, apart, seed, GROUPS)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(base=sizes, more=sizes, apart=sizes, apart_more=sizes, seed=st.integers(0, 2**32))
 def test_a_greater_design_begins_with_the_smaller(
     base: int, more: int, apart: int, apart_more: int, seed: int
@@ -39,7 +40,7 @@ def test_a_greater_design_begins_with_the_smaller(
         np.testing.assert_array_equal(row, rows[label])
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(base=sizes, apart=sizes, seed=st.integers(0, 2**32))
 def test_results_return_to_their_blocks(base: int, apart: int, seed: int) -> None:
     design = drawn(base, apart, seed)

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.special import ndtri
 from scipy.stats import norm
 from study_cases import known_of, study_with
@@ -161,7 +162,7 @@ def test_rigs_that_fail_keep_no_bound() -> None:
     assert found.found is None
 
 
-@settings(max_examples=10, deadline=None)
+@examples(10)
 @given(st.floats(0.02, 0.2), st.floats(1.1, 3.0), st.integers(0, 99))
 def test_a_tighter_bound_asks_for_tighter_causes(most: float, looser: float, seed: int) -> None:
     """The same rigs are run, and the bounds lie farther apart than the search's last step."""
@@ -182,7 +183,7 @@ def test_effects_and_bound_twice_as_large_leave_the_factors() -> None:
     assert factors[0] == factors[1]
 
 
-@settings(max_examples=15, deadline=None)
+@examples(15)
 @given(
     st.lists(st.floats(0.1, 100.0), min_size=3, max_size=3),
     st.lists(st.floats(0.02, 1.0), min_size=3, max_size=3),

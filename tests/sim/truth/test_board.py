@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from truth_scenes import BOARD, tank
 
 from lscan.errors import InputError
@@ -31,7 +32,7 @@ def board(dot_mm: float = 5.0, floor: float | None = None, **target: object) -> 
     )
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     at=st.tuples(st.floats(-80, 0), st.floats(-40, 40), st.floats(-60, 60)),
     turn=st.floats(-20, 20),

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 from truth_scenes import block_mesh, tank
 from typer.testing import CliRunner
@@ -104,7 +105,7 @@ def test_a_scan_refuses_what_the_commands_refuse(tmp_path: Path) -> None:
     assert str(path) in str(shown.value)
 
 
-@settings(max_examples=50)
+@examples(50)
 @given(seed=st.integers(0, 2**31))
 def test_inside_is_what_trimesh_s_rays_say(seed: int) -> None:
     """Of a closed mesh that is not convex, and of a box by its bounds with a side taken off."""

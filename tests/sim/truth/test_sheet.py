@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from truth_scenes import BOARD, block_mesh, tank
 
 from lscan.config.documents import merge
@@ -18,8 +19,8 @@ from sim.truth.surfaces import clip
 from sim.truth.visibility import fan_angle, passing_mm
 from sim.water import refractive_index
 
-FEW = settings(max_examples=6)
-FEWER = settings(max_examples=3)
+FEW = examples(6)
+FEWER = examples(3)
 SMALL = st.floats(-8, 8)
 ASKEW = st.fixed_dictionaries(
     {
@@ -103,7 +104,7 @@ def test_the_plane_of_the_sheet_is_the_scene_s(laser):
     assert angle == pytest.approx([0.0, np.arctan(0.5)], abs=1e-12)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(laser=ASKEW, tilt=st.floats(0.5, 30) | st.floats(-30, -0.5), seed=st.integers(0, 2**31))
 def test_the_bow_is_that_of_the_rays(laser, tilt, seed):
     scene = tank(laser={**laser, "port_tilt_deg": tilt})

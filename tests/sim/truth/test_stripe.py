@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import example, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import example, given, strategies as st
 from truth_scenes import BOARD, block_mesh, in_head, tank
 
 from lscan.config.documents import merge
@@ -22,7 +23,7 @@ from sim.truth.stripe import ColumnCrossings, edge_distance, is_continued
 from sim.truth.surfaces import SELF_MM, Mesh
 from sim.truth.visibility import fan_angle, is_blocked, passing_mm
 
-FEW = settings(max_examples=10)
+FEW = examples(10)
 LOW = {"camera_mm": [75.0, -700.0, 180.0], "depression_deg": 15.0}
 LASER = {"power_mw": 10.0, "apex_mm": [75.0, 0.0, 500.0], "fan_half_angle_deg": 40.0}
 
@@ -262,7 +263,7 @@ def height(shape: Sandwave, x: np.ndarray, y: np.ndarray, wider_mm: float = 0.0)
     return z
 
 
-@settings(max_examples=4)
+@examples(4)
 @given(s=st.floats(80, 130), turn=st.floats(-5, 5))
 @example(s=100.0, turn=0.0)  # crests that cast shadows
 @example(s=110.0, turn=0.0)

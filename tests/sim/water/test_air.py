@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from places import SCENES
 from truth_scenes import tank
 
@@ -19,7 +20,7 @@ from sim.water import water_optics
 METRIC = SCENES / "metric"
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(
     nm=st.floats(450, 700),
     temperature=st.floats(0, 30),
@@ -65,7 +66,7 @@ def pinhole(scene: Scene, points: np.ndarray) -> np.ndarray:
 FINENESS = 2
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(
     tilt=st.tuples(st.floats(-10, 10), st.floats(-10, 10)),
     gap=st.floats(1, 60),

@@ -4,7 +4,8 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from water_sphere import integral
 
 from lscan.errors import InputError
@@ -51,7 +52,7 @@ def backscattered(density) -> float:
 # ---- Henyey & Greenstein, molecules ------------------------------------------------------
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(g=st.floats(-0.9, 0.999))  # the rule of integral() is coarse at a backward peak
 def test_a_lobe_has_its_mean_cosine(g):
     def lobe(angle):
@@ -64,7 +65,7 @@ def test_a_lobe_has_its_mean_cosine(g):
     )
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(g=st.floats(0, 0.99999), angle=st.floats(0, 3))
 def test_a_backward_lobe_mirrors_a_forward_one(g, angle):
     # 1e-9: pi - angle is rounded to 4e-16, of a lobe as narrow as 1e-5 rad.
@@ -198,7 +199,7 @@ def literal(spheres: FournierForand, angle: float) -> float:
         return float(first / (4 * pi * (1 - d) ** 2 * d**nu) + second / (16 * pi))
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(spheres=SPHERES, side=st.sampled_from([-1, 1]), decades=st.floats(0.7, 14.5))
 def test_spheres_are_exact_near_delta_1(spheres, side, decades):
     """Where the literal formula in double precision loses all its digits.
@@ -232,7 +233,7 @@ def test_the_closed_form_and_the_series_meet():
         assert below / above - 1 == pytest.approx(2.4e-9, abs=1e-9)
 
 
-@settings(max_examples=60)
+@examples(60)
 @given(spheres=SPHERES)
 def test_spheres_scatter_all_and_nowhere_less_than_nothing(spheres):
     low = 1e-40

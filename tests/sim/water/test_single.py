@@ -4,7 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.integrate import quad_vec
 
 from lscan.records import Floats
@@ -59,7 +60,7 @@ def along_the_beam(phase, theta: float, depth: float, end: float) -> complex:
     return complex(quad_vec(arriving, 0.0, end, epsabs=0, epsrel=1e-6, points=np.unique(marks))[0])
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(
     name=st.sampled_from(list(PHASES)),
     theta=st.floats(-5, 0.45).map(lambda power: 10.0**power),

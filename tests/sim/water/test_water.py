@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from water_sphere import integral
 
 from lscan.errors import InputError
@@ -132,7 +133,7 @@ def test_molecules_count_in_clear_water():
 # ---- waters by number --------------------------------------------------------------------
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(
     nm=st.floats(450, 700),
     t=st.floats(0, 30),
@@ -161,7 +162,7 @@ def test_optics_are_whole(nm, t, psu, mpa, a, b, phase):
     assert optics.index == refractive_index(t, psu, nm, mpa)
 
 
-@settings(max_examples=40)
+@examples(40)
 @given(a=st.floats(0, 2), b=st.floats(0, 5), nm=st.floats(450, 700))
 def test_totals_are_taken_as_they_are(a, b, nm):
     optics = water_optics(Water(absorption_per_m=a, scattering_per_m=b), nm)

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board
 
 from lscan.calibration import calibrate as crossvalidation
@@ -44,7 +45,7 @@ def _marks(reading: BoardReading) -> list[Marks]:
 # --- folds --------------------------------------------------------------------------------
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(folds=st.integers(2, 12), seed=st.integers(0, 99))
 def test_folds_are_even_and_share_places(folds: int, seed: int) -> None:
     """Sizes differ by no more than one; where a ruler lies on a grid line, its marks go with
@@ -260,7 +261,7 @@ def test_auto_is_the_best_map_itself() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-@settings(max_examples=2)
+@examples(2)
 @given(scale=st.floats(0.1, 10.0), shift=st.tuples(st.floats(-500, 500), st.floats(-500, 500)))
 def test_auto_is_equivariant_in_pitch_and_origin(scale: float, shift: tuple[float, float]) -> None:
     reading = _reading()

@@ -1,7 +1,8 @@
 """Curves looked up in one table are the curves themselves."""
 
 import numpy as np
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.calibration.maps.graticulelines import (
     Curve,
@@ -29,7 +30,7 @@ def marks(generator: np.random.Generator) -> CurvePoints:
     return CurvePoints(x, y, sigma, sigma)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(seed=st.integers(0, 2**31), orders=st.lists(st.integers(1, 4), min_size=1, max_size=12))
 def test_polynomials_fitted_together_are_those_of_least_squares(
     seed: int, orders: list[int]
@@ -44,7 +45,7 @@ def test_polynomials_fitted_together_are_those_of_least_squares(
         np.testing.assert_allclose(found.slope(x), expected.deriv()(x), rtol=0, atol=1e-10)
 
 
-@settings(max_examples=30, deadline=None)
+@examples(30)
 @given(
     seed=st.integers(0, 2**31),
     fits=st.lists(st.sampled_from([*FITS, None]), min_size=1, max_size=6),

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from drawn_examples import examples
+from hypothesis import given
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board, views
 
 from lscan.calibration.maps.graticule import (
@@ -218,7 +219,7 @@ def _miss_px(view: View, line: GridLine, axis: int) -> float:
     return float(np.abs(line.curve(image[reached, 1 - axis]) - image[reached, axis]).max())
 
 
-@settings(max_examples=12)
+@examples(12)
 @given(view=views())
 def test_round_trip_without_rulers_within_the_chord_bound(view: View) -> None:
     graticule = solver.solve(read_board(BOARD, view.project), "2-norulers")
@@ -232,7 +233,7 @@ def test_round_trip_without_rulers_within_the_chord_bound(view: View) -> None:
         assert error[:, axis].max() <= _chord_bound_mm(view, lines, axis, image[valued])
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(view=views())
 def test_round_trip_with_rulers_within_twice_that_and_the_rulers_own(view: View) -> None:
     """Target and intersection have the same weight, so both obey the chord bound; the

@@ -5,7 +5,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board, views
 
 from lscan.calibration.maps.projective import solver as projective
@@ -21,7 +22,7 @@ MAPS = (*METHODS, "spline")
 # --- closed forms -------------------------------------------------------------------------
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(view=views("perspective"))
 def test_projective_is_exact_on_perspective_views(view: View) -> None:
     reading = read_board(BOARD, view.project)
@@ -84,7 +85,7 @@ def _moved(reading: BoardReading, scale: float, shift: Floats) -> BoardReading:
 
 
 @pytest.mark.parametrize("name", MAPS)
-@settings(max_examples=2)
+@examples(2)
 @given(
     view=views(),
     scale=st.floats(0.1, 10.0),
@@ -122,7 +123,7 @@ def test_order_of_points_is_kept(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MAPS)
-@settings(max_examples=3)
+@examples(3)
 @given(view=views())
 def test_no_value_outside_the_control_points(name: str, view: View) -> None:
     """Judged by OpenCV's hull of the marks: no pixel farther out than twice the margin of

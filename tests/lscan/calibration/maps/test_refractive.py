@@ -8,7 +8,8 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import Phase, assume, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import Phase, assume, given, strategies as st
 from planeviews import View, affine, board_points, paper_board, read_board, with_noise
 from scipy.spatial import Delaunay
 
@@ -98,7 +99,7 @@ def ignorance(view: View, known: OpticsSection) -> float:
     return float(np.linalg.norm([*departures, *axis]))
 
 
-@settings(max_examples=4, phases=(Phase.explicit, Phase.generate))
+@examples(4, phases=(Phase.explicit, Phase.generate))
 @given(view=rigs())
 def test_exact_marks_give_an_exact_map(view: View) -> None:
     """Of lens, port and pose only rough values are known, and the map is right to 1e-3 mm rms.
@@ -173,7 +174,7 @@ def _moved(reading: BoardReading, scale: float, shift: Floats) -> BoardReading:
     )
 
 
-@settings(max_examples=4)
+@examples(4)
 @given(
     scale=st.floats(0.1, 10.0), shift=st.tuples(st.floats(-500.0, 500.0), st.floats(-500.0, 500.0))
 )

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.calibration.maps.spline import FLAT, Smooth, TensorBasis, even_basis, smooth
 from lscan.records import Floats
@@ -19,7 +20,7 @@ def _coefficients(values: Floats, places: Floats, basis: TensorBasis = BASIS) ->
     return np.asarray(np.linalg.lstsq(basis.rows(places), values, rcond=None)[0], dtype=float)
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(cubic=st.lists(st.floats(-5, 5), min_size=4, max_size=4), seed=st.integers(0, 99))
 def test_roughness_of_a_cubic(cubic: list[float], seed: int) -> None:
     """f = a u³ + b u²v + c uv² + d v³ and any quadratic: its third derivatives are 6a, 2b, 2c
@@ -60,7 +61,7 @@ def _fit(values: Floats, places: Floats, sigma: Floats) -> Smooth:
     return smooth(BASIS.rows(places), values, sigma, BASIS.roughness(), FLAT)
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(seed=st.integers(0, 999))
 def test_quadratics_come_back_exactly(seed: int) -> None:
     """They have no roughness, so no weight of the penalty changes them."""
@@ -72,7 +73,7 @@ def test_quadratics_come_back_exactly(seed: int) -> None:
     np.testing.assert_allclose(BASIS.rows(places) @ found.coefficients, values, atol=1e-8)
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(seed=st.integers(0, 999))
 def test_the_fit_solves_the_normal_equations(seed: int) -> None:
     """The inverse covariance less the data's part is a multiple of the roughness, and the

@@ -6,7 +6,8 @@ from time import process_time
 import numpy as np
 import pytest
 from dot_photographs import BOARD as PHOTOGRAPHED, photograph
-from hypothesis import given, settings
+from drawn_examples import examples
+from hypothesis import given
 from planeviews import BARREL, View, board_points, paper_board, read_board, views
 
 from lscan.board import read_board as read_photograph
@@ -26,7 +27,7 @@ def _error(reading: BoardReading, view: View, name: str = "spline") -> Floats:
     return find_solver(name).solve(reading).to_plane(view.project(points)).xz_mm - points
 
 
-@settings(max_examples=10)
+@examples(10)
 @given(view=views("perspective"))
 def test_exact_on_perspective_views(view: View) -> None:
     error = _error(read_board(BOARD, view.project), view)
@@ -34,7 +35,7 @@ def test_exact_on_perspective_views(view: View) -> None:
     assert np.isfinite(error).mean() > 0.5
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(view=views())
 def test_within_the_bar_on_any_view(view: View) -> None:
     """The bar of the map on the sheet at the tank's noise: 0.03 mm rms and 0.10 mm at most.

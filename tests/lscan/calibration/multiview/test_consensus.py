@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.calibration.metric.sheet import Agreement, agreed_plane
 from lscan.errors import MeasurementError
@@ -32,7 +33,7 @@ def off_mm(agreement: Agreement) -> float:
     return float(np.abs((points @ q - 1) / np.linalg.norm(q)).max())
 
 
-@settings(max_examples=30)
+@examples(30)
 @given(seed=st.integers(0, 2**32 - 1), right=st.integers(5, 9))
 def test_half_of_the_lines_may_be_wrong(seed: int, right: int) -> None:
     """A wrong line lies within 5 sigma, 0.5 mm of 60, at both its ends once in 14,000.
@@ -49,7 +50,7 @@ def test_half_of_the_lines_may_be_wrong(seed: int, right: int) -> None:
     assert found.by_chance < 1e-3
 
 
-@settings(max_examples=20)
+@examples(20)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_the_order_of_the_lines_does_not_matter(seed: int) -> None:
     rng = np.random.default_rng(seed)

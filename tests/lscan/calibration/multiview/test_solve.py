@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from metricviews import (
     SIZE,
     Pose,
@@ -40,7 +41,7 @@ def grid_px() -> Floats:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-@settings(max_examples=6)
+@examples(6)
 @given(rig=rigs(water=False), seed=SEEDS)
 def test_exact_marks_give_the_camera_and_the_sheet(rig: Rig, seed: int) -> None:
     boards = poses(rig, np.random.default_rng(seed))
@@ -58,7 +59,7 @@ def test_exact_marks_give_the_camera_and_the_sheet(rig: Rig, seed: int) -> None:
     )
 
 
-@settings(max_examples=6)
+@examples(6)
 @given(rig=rigs(water=True), seed=SEEDS)
 def test_exact_marks_through_a_known_port_give_the_map(rig: Rig, seed: int) -> None:
     boards = poses(rig, np.random.default_rng(seed))

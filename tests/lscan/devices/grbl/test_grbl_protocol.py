@@ -1,7 +1,8 @@
 """What Grbl says, read: the documented examples, and noise."""
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.devices.grbl.dialogue import (
     CODES,
@@ -107,7 +108,7 @@ def test_every_documented_code_has_its_words() -> None:
 places = st.floats(-9999, 9999).map(lambda mm: round(mm, 3))
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(place=st.tuples(places, places, places), state=st.sampled_from(["Idle", "Jog", "Alarm"]))
 def test_a_report_written_is_a_report_read(place: tuple[float, ...], state: str) -> None:
     text = f"<{state}|MPos:{','.join(f'{mm:.3f}' for mm in place)}|FS:0,0>"
@@ -117,7 +118,7 @@ def test_a_report_written_is_a_report_read(place: tuple[float, ...], state: str)
     assert status.machine == place
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(text=st.text("<>|:,.$[]=-okIdleMPsFSWCO0123456789", max_size=40))
 def test_no_text_breaks_the_parser(text: str) -> None:
     parse_line(text)
@@ -175,7 +176,7 @@ def test_noise_without_an_end_does_not_pile_up() -> None:
     assert noise >= LONGEST_ANSWER
 
 
-@settings(max_examples=200)
+@examples(200)
 @given(noise=st.binary(max_size=100).filter(lambda data: b"\n" not in data))
 def test_a_line_after_noise_and_a_line_end_is_read(noise: bytes) -> None:
     lines, _ = lines_of(noise + b"\nok\n")

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 from device_contract import TrackContract
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.config.rig import parse_rig
 from lscan.devices.api import Track
@@ -120,7 +121,7 @@ class TestMarlinOnATerminal(TestTrackOnATerminal):
 # ---- motion -----------------------------------------------------------------------------
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(stops=st.lists(st.floats(0, 180), min_size=1, max_size=5), dialect=st.sampled_from("gm"))
 def test_it_stands_where_it_says(stops: list[float], dialect: str) -> None:
     """Half a step, and 0.5 µm of the three decimals (Marlin: 5 µm of two), from the truth."""
@@ -132,7 +133,7 @@ def test_it_stands_where_it_says(stops: list[float], dialect: str) -> None:
         assert abs(b.head_mm - stop_mm) <= STEP_MM / 2 + 0.0005 + 1e-9
 
 
-@settings(max_examples=15)
+@examples(15)
 @given(stops=st.lists(st.floats(0, 180), min_size=1, max_size=4), invert=st.booleans())
 def test_every_stop_is_reached_from_below(stops: list[float], invert: bool) -> None:
     """With 0.8 mm of backlash the drive always pushes the carriage from the same side."""

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.devices.photontransfer import (
     ROUNDING_DN,
@@ -49,7 +50,7 @@ def total_read_dn(read_dn: float) -> float:
     return float(np.hypot(read_dn, ROUNDING_DN))
 
 
-@settings(max_examples=25)
+@examples(25)
 @given(gain=st.floats(0.02, 1.0), read_dn=st.floats(0.5, 4.0), seed=st.integers(0, 10**6), dark=...)
 def test_gain_and_read_noise_are_recovered(
     gain: float, read_dn: float, seed: int, dark: bool

@@ -4,7 +4,8 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 
 from lscan.devices.api import Describing, Track
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
@@ -90,7 +91,7 @@ def test_a_track_of_unknown_limits_is_tried_within_them(stood_mm: float, place_m
     assert all(move.time_s >= 0 for move in trial.moves)
 
 
-@settings(max_examples=100)
+@examples(100)
 @given(
     low_mm=st.floats(-1000, 1000),
     length_mm=st.floats(0, 300),

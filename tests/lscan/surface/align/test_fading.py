@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from scipy.special import ndtr
 
 from lscan.errors import MeasurementError
@@ -54,7 +55,7 @@ def far(at: float, lean: float, slope: float) -> FaceSamples:
 
 
 @given(st.floats(-1, 1), st.floats(-0.02, 0.02), st.floats(0, 0.5))
-@settings(max_examples=20)
+@examples(20)
 def test_edges_of_the_model_are_found_exactly(at: float, lean: float, wall: float) -> None:
     """A closed form: the light is the model's own but for the product 0.002 y Phi."""
     edges = faces(at, lean, 0.867, wall), far(-at / 2, lean, -0.867)

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import Phase, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import Phase, given, strategies as st
 from synthetic_scans import Placing, scan
 
 from lscan.config.targets import Sandwave
@@ -41,7 +42,7 @@ def test_a_level_plane_is_left_alone() -> None:
 
 
 @given(angles, angles)
-@settings(max_examples=50)
+@examples(50)
 def test_levelling_step_leaves_a_third_order_rest(tilt_x: float, tilt_y: float) -> None:
     n = normal_of(tilt_x, tilt_y)
     rest = np.linalg.norm((levelling_step(n) @ n)[:2])
@@ -49,7 +50,7 @@ def test_levelling_step_leaves_a_third_order_rest(tilt_x: float, tilt_y: float) 
 
 
 @given(angles, angles, st.integers(0, 100))
-@settings(max_examples=30)
+@examples(30)
 def test_levelling_settles_at_the_vertical(tilt_x: float, tilt_y: float, seed: int) -> None:
     n = normal_of(tilt_x, tilt_y)
     xy = np.random.default_rng(seed).uniform(-100, 100, (50, 2))
@@ -87,7 +88,7 @@ def edge_samples(at: float, slope: float, lean: float, phase: float) -> EdgeCros
 
 
 @given(st.floats(0.05, 0.2), st.floats(-1, 1), st.floats(0, 0.9))
-@settings(max_examples=40)
+@examples(40)
 def test_edges_are_found_far_within_a_sample(lean: float, at: float, phase: float) -> None:
     upright, leaning = (edge_samples(*edge, lean, phase) for edge in ((at, 0.0), (at + 5, 0.3)))
     fit = fit_edges({"a": upright, "b": leaning}, pivot_mm=0.0)
@@ -175,7 +176,7 @@ def _left_open_deg(placing: Placing) -> float:
 
 @pytest.mark.slow
 @given(placings)
-@settings(max_examples=6, phases=[Phase.generate])
+@examples(6, phases=[Phase.generate])
 def test_yaw_and_slices_of_any_placing(placing: Placing) -> None:
     surface = scan(PIECE, placing)
     alignment = align_sandwave(surface, PIECE)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from truth_scenes import tank
 
 from sim.scene import PlanePort, camera_pose
@@ -10,7 +11,7 @@ from sim.scene.instrument import DomePort
 from sim.truth import project
 from sim.truth.camera import camera_of, dome_rays, entry_points, flat_rays, polar_angle
 
-MANY = settings(max_examples=60)
+MANY = examples(60)
 
 
 @st.composite

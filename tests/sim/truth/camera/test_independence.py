@@ -6,14 +6,15 @@ solves Snell's equation for the tangent in air and takes the roots of a polynomi
 
 import numpy as np
 from camera_strategies import FLAT_PORT, LENS
-from hypothesis import assume, given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import assume, given, strategies as st
 
 from lscan import camera as instrument
 from lscan.camera.optics import fold_radius as instruments_fold
 from sim.scene import Lens, PlanePort, Pose
 from sim.truth.camera import TrueCamera, fold_radius, image, rays_to
 
-MANY = settings(max_examples=60)
+MANY = examples(60)
 LENSES, PORTS = st.builds(Lens, **LENS), st.builds(PlanePort, **FLAT_PORT)
 
 

@@ -4,7 +4,8 @@ import cv2
 import numpy as np
 import pytest
 from camera_strategies import FLAT_PORT, LENS
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from truth_scenes import tank
 
 from lscan.errors import InputError
@@ -22,7 +23,7 @@ from sim.truth.camera import (
 )
 from sim.water import refractive_index
 
-MANY = settings(max_examples=60)
+MANY = examples(60)
 LENSES, PORTS = st.builds(Lens, **LENS), st.builds(PlanePort, **FLAT_PORT)
 ANGLE = st.floats(-180, 180)
 
@@ -135,7 +136,7 @@ def test_the_ray_found_passes_through_the_point(camera, seed):
     assert np.abs(entry - rays.entry_mm).max() < 1e-10
 
 
-@settings(max_examples=8)
+@examples(8)
 @given(port=PORTS, lens=LENSES, seed=st.integers(0, 2**31))
 def test_the_pixel_traced_back_meets_the_point(port, lens, seed):
     camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, port, 1.3313)

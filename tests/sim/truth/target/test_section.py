@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import shapely
 import trimesh
-from hypothesis import given, settings, strategies as st
+from drawn_examples import examples
+from hypothesis import given, strategies as st
 from truth_scenes import BOARD, block_mesh, tank
 
 from lscan.config.targets import GroovedBlock, Sandwave
@@ -20,7 +21,7 @@ from sim.truth.section import (
 )
 from sim.truth.surfaces import Mesh, Polygon, Wave, area, sandwave_surfaces, spread
 
-MANY = settings(max_examples=30)
+MANY = examples(30)
 TILT = st.floats(-8, 8)
 POSE = st.builds(
     lambda x, y, z, at: Pose(rotation("ZYX", (z, y, x)), np.array(at)),
@@ -123,7 +124,7 @@ def wave_mesh(shape: Sandwave, pose: Pose, step: float) -> trimesh.Trimesh:
     return trimesh.Trimesh(pose.apply(vertices), faces, process=False)
 
 
-@settings(max_examples=6)
+@examples(6)
 @given(pose=POSE, yaw=TILT, along=st.floats(5, 145))
 def test_the_wave_is_cut_as_trimesh_cuts_its_mesh(pose, yaw, along):
     shape, step = Sandwave(), 0.5
