@@ -14,14 +14,16 @@ OLDEST ?= $(addprefix tests/lscan/,files config camera live surface/test_stack.p
 NEWEST := $(shell sed -n '1,3s/.*3\.[0-9]* to 3\.\([0-9]*\).*/\1/p' requirements.lock)
 APT := $(ROOT) env DEBIAN_FRONTEND=noninteractive apt-get -qq
 
-.PHONY: help setup demo test pytest validate soak lint house oldest suites docs clean
+.PHONY: help setup demo test test-all pytest mutants validate soak lint house oldest suites tables docs clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make setup   set up what the others need: .venv, its packages, LLVM"
 	@echo "make demo    scan the tank once and write out/demo"
-	@echo "make test    all checks and all tests"
-	@echo "make pytest  the tests alone"
+	@echo "make test    all checks and the tests that are quick: minutes"
+	@echo "make test-all  all checks, all tests with all their examples, and the mutants"
+	@echo "make pytest  the tests alone; PYTEST='-m \"not slow\"' is handed to pytest"
+	@echo "make mutants faults put into the code one by one, each of which a quick test must notice"
 	@echo "make soak    property tests with random examples for MINUTES=10, or as many as named"
 	@echo "make house   sizes of packages and README, names used twice, each with its bar"
 	@echo "make oldest  tests of the instrument and a render with the oldest packages allowed; out/oldest"
@@ -30,6 +32,7 @@ help:
 	@echo "             NAME=light (or instrument, surfaces, robustness, studies, regression,"
 	@echo "             roughness, speed) measures one theme, QUICK=1 all with the least effort"
 	@echo "make suites  render the suites quick and chains and pack the wheel of them; out/dist"
+	@echo "make tables  make the tables of scattered light that are shipped"
 	@echo "make docs    build the documentation, its pages' code included; out/docs/index.html"
 	@echo "make clean   remove all that was set up or made, save runs/"
 
@@ -38,7 +41,16 @@ setup: .venv/llvm.stamp
 demo: .venv/llvm.stamp
 	$(BIN)/lscan-sim demo -o out/demo
 
-test: lint pytest
+# The checks use one core while tests wait for devices and browsers.
+test: .venv/chromium.stamp
+	@$(MAKE) --no-print-directory -j 2 lint pytest PYTEST='-m "not slow" $(PYTEST)'
+
+test-all: .venv/chromium.stamp
+	@$(MAKE) --no-print-directory -j 2 lint pytest PYTEST='--hypothesis-profile=full $(PYTEST)'
+	@$(MAKE) --no-print-directory mutants
+
+mutants: .venv/llvm.stamp
+	$(BIN)/python -m tests.mutants $(NAME)
 
 pytest: .venv/llvm.stamp .venv/chromium.stamp
 	$(BIN)/python -m pytest -n auto --maxprocesses 8 --dist loadgroup $(PYTEST)
@@ -81,6 +93,9 @@ suites: .venv/llvm.stamp
 	$(BIN)/lscan-sim suite make quick -o out/suites/quick.zip
 	$(BIN)/lscan-sim suite make chains -o out/suites/chains.zip
 	$(BIN)/lscan suite wheel out/suites/quick.zip out/suites/chains.zip -o out/dist
+
+tables: .venv/llvm.stamp
+	$(BIN)/python tests/support/ship_spreads.py
 
 docs: .venv/llvm.stamp
 	$(BIN)/python -m sphinx -W --keep-going -n -q docs out/docs
