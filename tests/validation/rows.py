@@ -7,6 +7,8 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
+from scipy.special import ndtr
+
 from lscan.errors import LscanError
 from lscan.figures.page import ReportFigure
 from lscan.files.disk import make_folder, packaged_table, write_json
@@ -32,6 +34,10 @@ class Row:
     noisy : bool, noise moves the figure, so that the few samples of a quick run may put it beyond
         its bar
     quick : bool, it was measured in such a run
+    power : float or None, the probability that the figure would be beyond its bar with the fault
+        that the row is there for, by default a deviation FAULT times as large as required; None
+        where chance plays no part, or where it is not known.  A row with less than LEAST_POWER
+        decides nothing, and is not passed
     error : str, what kept it from being measured, "" where nothing did
     """
 
@@ -45,7 +51,13 @@ class Row:
     at_least: bool = False
     noisy: bool = False
     quick: bool = False
+    power: float | None = None
     error: str = ""
+
+    @property
+    def decides(self) -> bool:
+        """Whether the row would see its fault."""
+        return self.power is None or self.power >= LEAST_POWER
 
     @property
     def passed(self) -> bool | None:
@@ -57,7 +69,9 @@ class Row:
             return False
         if self.bar is None or (self.quick and self.noisy):
             return None
-        return bool(self.figure >= self.bar if self.at_least else self.figure <= self.bar)
+        return self.decides and bool(
+            self.figure >= self.bar if self.at_least else self.figure <= self.bar
+        )
 
     def as_json(self) -> dict[str, Any]:
         """The row as the figures file holds it; a figure that is no number is null there."""
@@ -67,24 +81,53 @@ class Row:
             "passed": self.passed,
         }
         left_out = {"noisy", *(name for name in ("at_least", "error") if not written[name])}
+        if self.power is None:
+            left_out.add("power")
         return {name: value for name, value in written.items() if name not in left_out}
 
 
 ROWS: Mapping[str, Mapping[str, Any]] = packaged_table("tests.validation", "rows.toml")
 
 
+FAULT, LEAST_POWER = 2.0, 0.9
+
+
+def power_of(fault: float, bar: float, noise: float) -> float:
+    """The probability that a figure is beyond its bar.
+
+    Parameters
+    ----------
+    fault : float, what the figure would be without noise
+    bar : float, its upper limit
+    noise : float, the figure's standard uncertainty, taken for normal
+    """
+    return float(ndtr((fault - bar) / noise)) if noise > 0 else float(fault > bar)
+
+
 def row(
-    key: str, figure: float, *, bar: float | None = None, seed: int | None = None, **words: Any
+    key: str,
+    figure: float,
+    *,
+    bar: float | None = None,
+    seed: int | None = None,
+    sigma: float | None = None,
+    power: float | None = None,
+    **words: Any,
 ) -> Row:
     """The row of that key of rows.toml.
 
-    bar: where the table has none.  words: what stands in the braces of its texts.
+    bar: where the table has none.  sigma: the figure's standard uncertainty, of which follows how
+    surely FAULT times the bar would be seen; or that power itself.  words: what stands in the
+    braces of its texts.
     """
     texts: dict[str, Any] = {
         name: value.format(**words) if isinstance(value, str) else value
         for name, value in ROWS[key].items()
     }
-    return Row(**{"bar": bar, **texts}, figure=figure, seed=seed)
+    found = Row(**{"bar": bar, **texts}, figure=figure, seed=seed, power=power)
+    if sigma is None or found.bar is None:
+        return found
+    return replace(found, power=power_of(FAULT * found.bar, found.bar, sigma))
 
 
 @dataclass(frozen=True)
@@ -249,6 +292,13 @@ def write_rows(path: Path, rows: Sequence[Row]) -> None:
     write_json(path, [row.as_json() for row in rows])
 
 
+def undecided(row: Row) -> str:
+    """That a row decides nothing, for behind what it is; "" where it does."""
+    if row.decides:
+        return ""
+    return f" (decides nothing: would see its fault with a probability of {row.power:.0%})"
+
+
 HEADINGS = ("what", "figure", "bar", "unit", "within")
 VERDICTS = {True: "yes", False: "NO", None: "-"}
 
@@ -262,7 +312,7 @@ def table_cells(rows: Iterable[Row]) -> list[list[str]]:
     """
     return [
         [
-            f"{row.what}: {row.error}" if row.error else row.what,
+            row.what + (f": {row.error}" if row.error else "") + undecided(row),
             number(row.figure),
             "" if row.bar is None else number(row.bar),
             row.unit,

@@ -1,6 +1,7 @@
 """The evidence's machinery: rows, files, the page and the command's exit code."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,9 @@ from tests.validation.rows import (
     Topic,
     measured_rows,
     number,
+    power_of,
     rows_of,
+    table_cells,
     write_rows,
 )
 
@@ -125,3 +128,15 @@ def test_a_figure_may_have_to_reach_its_bar(figure: float, passed: bool) -> None
     rate = row(figure, bar=15.0, at_least=True)
     assert rate.passed is passed
     assert rate.as_json()["at_least"] is True
+
+
+def test_a_row_that_would_not_see_its_fault_is_not_passed() -> None:
+    """Of a normal figure about twice the bar, 84 % are beyond it where its noise is the bar, and
+    98 % where it is half of that."""
+    weak, strong = power_of(2.0, 1.0, 1.0), power_of(2.0, 1.0, 0.5)
+    assert (weak, strong) == pytest.approx((0.841, 0.977), abs=1e-3)
+    good = Row("light", "the judge", 0.1, 1.0, "%", "required", power=strong)
+    assert good.passed is True and good.as_json()["power"] == strong
+    poor = replace(good, power=weak)
+    assert poor.passed is False and "84%" in table_cells([poor])[0][0]
+    assert "power" not in replace(good, power=None).as_json()

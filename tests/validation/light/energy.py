@@ -139,8 +139,8 @@ def closed_box(rays: int, batches: int) -> Topic:
     expected = scene.tank.laser.power_mw * ALBEDO**2 / (1 - ALBEDO)
     error = float(received.std(ddof=1) / np.sqrt(batches)) / expected
     figure = abs(float(received.mean()) / expected - 1)
-    words = {"error": error, "batches": batches, "rays": rays}
-    return topic("closed-box", [row("closed-box", figure, seed=SEED, **words)])
+    words: dict[str, Any] = {"error": error, "batches": batches, "rays": rays}
+    return topic("closed-box", [row("closed-box", figure, seed=SEED, sigma=error, **words)])
 
 
 def power_from_walls(scene: Scene, rays: int, batches: int) -> Floats:

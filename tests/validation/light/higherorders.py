@@ -17,7 +17,7 @@ from sim.sensor import Webcam
 from sim.sensor.noise import electrons_of
 from tests.validation.light.judge import Judged, JudgeEffort, judge
 from tests.validation.light.rigs import TARGETS, LightCase, light_case, topic
-from tests.validation.rows import Row, Topic, measured_rows, row
+from tests.validation.rows import FAULT, LEAST_POWER, Row, Topic, measured_rows, power_of, row
 
 SEED = 91
 DEPTHS = (0.1, 1.0, 5.0)  # b d: what the camera's metre of water scatters
@@ -34,7 +34,9 @@ CONFIDENCE, STANDARD_ERRORS = 0.95, 1.96
 RIDGE_MM = 1.0  # below the highest of the groove's line by more, it is not on a ridge
 BRIGHTEST_DN = 200.0
 BORDER_PX, ENDS_PX = 3, 4.0  # left out: what the lens blurs into the window; the line's ends
-BLOCK_PX = 8  # neighbours along the line whose mean difference is looked at
+# Columns along the line and distances from it over which differences are averaged: the first of
+# these patches that shows a deviation twice as large as required is looked at.
+PATCHES_PX = ((8, 1), (8, 4), (16, 8), (32, 16))
 
 
 @dataclass(frozen=True)
@@ -54,29 +56,59 @@ class LightEffort:
 
 @dataclass(frozen=True)
 class LightRatio:
-    """Ours over the judge's light on a part of a window, and half of its interval."""
+    """Ours over the judge's light on a part of a window, half of its interval, and its error."""
 
     where: str
     value: float
     half: float
+    sigma: float
 
     @property
     def beyond(self) -> float:
         """How far 1 lies outside the interval; negative within."""
         return abs(self.value - 1) - self.half
 
+    def power(self, required: float) -> float:
+        """The probability that a deviation of FAULT times ``required`` would be seen."""
+        return power_of(FAULT * required, required + self.half, self.sigma)
+
+
+@dataclass(frozen=True)
+class LightPatch:
+    """The largest difference of a patch of pixels, DN, and what noise explains.
+
+    largest_dn, noise_dn: of the difference, and of both halves of the judge's batches, halved.
+    sigma_dn: rms of the latter.  columns, distances: that a patch is the mean of.
+    """
+
+    largest_dn: float
+    noise_dn: float
+    sigma_dn: float
+    columns: int
+    distances: int
+
+    @property
+    def beyond(self) -> float:
+        """How far the difference is above what noise explains, DN."""
+        return self.largest_dn - self.noise_dn
+
+    @property
+    def power(self) -> float:
+        """The probability that a difference of FAULT times PIXEL_BAR_DN would be seen."""
+        return power_of(FAULT * PIXEL_BAR_DN, PIXEL_BAR_DN + self.noise_dn, self.sigma_dn)
+
 
 @dataclass(frozen=True)
 class LightFound:
     """What was found in a window.
 
-    ratios: of the parts of BARS.  centre_px, pixel_dn: deviation of the line's centre, rms, and of
-    the pixels, the largest; with what the judge's noise explains of each.
+    ratios: of the parts of BARS.  centre_px: rms deviation of the line's centre, and what the
+    judge's noise explains of it.
     """
 
     ratios: Mapping[str, Sequence[LightRatio]]
     centre_px: tuple[float, float]
-    pixel_dn: tuple[float, float]
+    patch: LightPatch
 
 
 def higher_orders(effort: LightEffort) -> Topic:
@@ -115,13 +147,17 @@ def target_rows(target: str, level: int, effort: LightEffort) -> list[Row]:
             worst = max(ratios, key=lambda ratio: ratio.beyond)
             bar, off = bars[level] + 100 * worst.half, 100 * abs(worst.value - 1)
             words |= {"part": part, "ratio": worst, "required": bars[level]}
-            rows.append(row("light-part", off, bar=bar, **words))
+            power = min(ratio.power(bars[level] / 100) for ratio in ratios)
+            rows.append(row("light-part", off, bar=bar, power=power, **words))
     centre, noise = max((one.centre_px for one in found), key=lambda pair: pair[0] - pair[1])
-    words |= {"required": CENTRE_BARS_PX[level], "noise": noise}
-    rows.append(row("light-centre", centre, bar=np.hypot(words["required"], noise), **words))
-    pixel, noise = max((one.pixel_dn for one in found), key=lambda pair: pair[0] - pair[1])
-    words |= {"required": PIXEL_BAR_DN, "noise": noise}
-    return [*rows, row("light-pixel", pixel, bar=PIXEL_BAR_DN + noise, **words)]
+    required, bar = CENTRE_BARS_PX[level], float(np.hypot(CENTRE_BARS_PX[level], noise))
+    power = power_of((FAULT * required) ** 2, bar**2, noise**2 / STANDARD_ERRORS)
+    words |= {"required": required, "noise": noise}
+    rows.append(row("light-centre", centre, bar=bar, power=power, **words))
+    patch = max((one.patch for one in found), key=lambda patch: patch.beyond)
+    words |= {"required": PIXEL_BAR_DN, "patch": patch}
+    bar, power = PIXEL_BAR_DN + patch.noise_dn, min(one.patch.power for one in found)
+    return [*rows, row("light-pixel", patch.largest_dn, bar=bar, power=power, **words)]
 
 
 def compare(case: LightCase, effort: JudgeEffort, grooved: bool) -> LightFound:
@@ -141,7 +177,7 @@ def compare(case: LightCase, effort: JudgeEffort, grooved: bool) -> LightFound:
     return LightFound(
         _ratios(case, grooved, np.abs(offset), here, judged),
         _centre_deviation(case, grey),
-        _pixel_deviation(offset, grey),
+        _worst_patch(offset, grey),
     )
 
 
@@ -171,7 +207,8 @@ def _ratio(where: str, ours: Floats, judged: Floats) -> LightRatio:
     sums = judged.sum(axis=1)
     value = float(ours.sum() / sums.mean())
     error = sums.std(ddof=1) / np.sqrt(len(sums)) / sums.mean()
-    return LightRatio(where, value, float(student.ppf(0.5 + CONFIDENCE / 2, len(sums) - 1) * error))
+    half = student.ppf(0.5 + CONFIDENCE / 2, len(sums) - 1) * error
+    return LightRatio(where, value, float(half), float(error))
 
 
 def _grey_values(case: LightCase, tank: Tank, ours: Floats, judged: Judged) -> Floats:
@@ -211,21 +248,31 @@ def _centre_deviation(case: LightCase, grey: Floats) -> tuple[float, float]:
     return float(np.sqrt(max(squares.mean(), 0.0))), float(noise)
 
 
-def _pixel_deviation(offset: Floats, grey: Floats) -> tuple[float, float]:
-    """Largest deviation of neighbours along the line, DN, and the largest of noise alone."""
+def _worst_patch(offset: Floats, grey: Floats) -> LightPatch:
+    """The largest difference of the smallest patches in which FAULT would be seen; of the largest
+    ones where it would be in none."""
     ours, one, other = grey
-    blocks = np.array(
-        [list(_blocks(offset, light)) for light in (ours - (one + other) / 2, one - other)]
-    )
-    return float(np.abs(blocks[0]).max()), float(np.abs(blocks[1]).max() / 2)
+    for most, distances in PATCHES_PX:
+        columns = min(most, offset.shape[1] - 2 * BORDER_PX)
+        off, noise = (
+            np.array(list(_patches(offset, light, columns, distances)))
+            for light in (ours - (one + other) / 2, (one - other) / 2)
+        )
+        sigma = float(np.sqrt(np.mean(noise**2)))
+        largest = float(np.abs(off).max()), float(np.abs(noise).max())
+        patch = LightPatch(*largest, sigma, columns, distances)
+        if patch.power >= LEAST_POWER:
+            break
+    return patch
 
 
-def _blocks(offset: Floats, light: Floats) -> Iterator[float]:
-    """Means over neighbouring columns at equal distances from the line."""
+def _patches(offset: Floats, light: Floats, columns: int, distances: int) -> Iterator[float]:
+    """Means over neighbouring columns and distances from the line."""
     near = int(RINGS_PX[-1]) - BORDER_PX
-    for start in range(BORDER_PX, light.shape[1] - BORDER_PX - BLOCK_PX + 1, BLOCK_PX):
-        block = slice(start, start + BLOCK_PX)
-        for distance in range(-near, near + 1):
-            mask = np.rint(offset[BORDER_PX:-BORDER_PX, block]) == distance
-            if mask.sum() == BLOCK_PX:
+    for start in range(BORDER_PX, light.shape[1] - BORDER_PX - columns + 1, columns):
+        block = slice(start, start + columns)
+        distance = np.rint(offset[BORDER_PX:-BORDER_PX, block])
+        for low in range(-near, near + 2 - distances, distances):
+            mask = (low <= distance) & (distance < low + distances)
+            if mask.sum() == columns * distances:
                 yield float(light[BORDER_PX:-BORDER_PX, block][mask].mean())

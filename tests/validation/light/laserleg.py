@@ -63,10 +63,10 @@ def laser_leg(samples: int) -> Topic:
     for name in SHEETS:
         figure, error = deviation(name, samples)
         words: dict[str, Any] = {"name": name, "samples": samples, "error": error}
-        rows.append(row("laser-leg", figure, seed=SEED, **words))
+        rows.append(row("laser-leg", figure, seed=SEED, sigma=error, **words))
     figure, error = judged_deviation(samples // 2)
     words = {"error": error, "photons": BATCHES * (samples // 2)}
-    rows.append(row("laser-leg-judge", figure, seed=SEED, **words))
+    rows.append(row("laser-leg-judge", figure, seed=SEED, sigma=error, **words))
     return topic("laser-leg", rows)
 
 

@@ -174,7 +174,13 @@ def water_rows(name: str, runs: int, samples: int, tests: int) -> list[Row]:
         row("scattering", largest_z(result.tests), bar=bound, **words),
         row("scattering-judge", largest_z(result.judge), bar=bound, **words),
         row("scattering-judged", largest_z(result.judged), bar=bound, **words),
-        row("scattering-centre", result.centroid_px, bar=CENTROID_PX, **words),
+        row(
+            "scattering-centre",
+            result.centroid_px,
+            bar=CENTROID_PX,
+            sigma=result.centroid_error_px,
+            **words,
+        ),
         row("scattering-no-line", bound / core, **words),
         row("scattering-other-g", bound / largest_z(result.other_g), **words),
     ]

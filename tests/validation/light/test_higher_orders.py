@@ -17,6 +17,7 @@ from tests.validation.rows import Row
 # Pixels of the judge scatter by 1 %: sums over some 30 and more of them, in 8 batches, by less than
 # 0.1 %, and no part may be off by more than the interval's half, 2.4 of these, beyond its bar.
 NOISE, BATCHES = 0.01, 8
+NAMES = "core", "halo", "veil", "centre", "pixel"
 
 
 class FakeTank:
@@ -42,7 +43,11 @@ class FakeTank:
 
 
 def judge(
-    tank: FakeTank, position_mm: float, window: tuple[int, int, int, int], *_: object
+    tank: FakeTank,
+    position_mm: float,
+    window: tuple[int, int, int, int],
+    *_: object,
+    noise: float = NOISE,
 ) -> Judged:
     """The light without faults, and noise."""
     left, top, width, height = window
@@ -51,17 +56,19 @@ def judge(
     inside = {name: light[top : top + height, left : left + width] for name, light in right.items()}
     return Judged(
         {
-            name: light * generator.normal(1.0, NOISE, (BATCHES, height, width))
+            name: light * generator.normal(1.0, noise, (BATCHES, height, width))
             for name, light in inside.items()
         }
     )
 
 
-def rows_with(monkeypatch: pytest.MonkeyPatch, **faults: float) -> dict[str, Row]:
+def rows_with(
+    monkeypatch: pytest.MonkeyPatch, noise: float = NOISE, **faults: float
+) -> dict[str, Row]:
     monkeypatch.setattr(higherorders, "Tank", partial(FakeTank, **faults))
-    monkeypatch.setattr(higherorders, "judge", judge)
+    monkeypatch.setattr(higherorders, "judge", partial(judge, noise=noise))
     rows = target_rows("board", 1, LightEffort(columns=32))
-    return dict(zip(("core", "halo", "veil", "centre", "pixel"), rows[-5:], strict=True))
+    return dict(zip(NAMES, rows[-5:], strict=True))
 
 
 @pytest.mark.parametrize(
@@ -81,3 +88,12 @@ def test_what_is_off_is_shown(
     found = rows_with(monkeypatch, **faults)
     assert {name for name, row in found.items() if row.passed is False} == beyond
     assert all(row.bar is not None and np.isfinite(row.figure) for row in found.values())
+
+
+def test_a_judge_too_noisy_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hundred times the noise hides twice what is required; means of more pixels show it."""
+    found = rows_with(monkeypatch, noise=100 * NOISE)
+    assert {name for name, row in found.items() if not row.decides} == set(NAMES) - {"pixel"}
+    assert {name for name, row in found.items() if row.passed} == {"pixel"}
+    assert "means of 26 neighbours" in found["pixel"].reference
+    assert "means of 8 neighbours" in rows_with(monkeypatch)["pixel"].reference

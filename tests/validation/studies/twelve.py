@@ -189,7 +189,12 @@ def speed_rows(rows: int, workers: int = 2) -> list[Row]:
     found = []
     for plane_map, bar in MINUTES.items():
         minutes = RIGS / 60 * seconds_a_row(plane_map, rows, workers)
-        words = {"plane_map": plane_map, "workers": workers, "rows": rows, "rigs": RIGS}
+        words: dict[str, Any] = {
+            "plane_map": plane_map,
+            "workers": workers,
+            "rows": rows,
+            "rigs": RIGS,
+        }
         words |= {"low": minutes.min(), "high": minutes.max()}
         figure = float(np.median(minutes))
         found.append(row("study-speed", figure, bar=bar, seed=SEED, **words))
