@@ -1,10 +1,12 @@
-"""Tables of scattered light of a scene's water: made once and kept in the user's cache."""
+"""Tables of scattered light of a scene's water: shipped, or made once and kept in the cache."""
 
 import hashlib
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from math import log
 
 import drjit as dr
@@ -18,7 +20,15 @@ from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.water import PhaseTable
 from sim.water import Optics, planes
 from sim.water.planes import ANGLE_AXIS, PlaneCounts
-from sim.water.spread import EDGES_FROM, RINGS, Crossings, OnceScattered, Spread, tabulate
+from sim.water.spread import (
+    EDGES_FROM,
+    RINGS,
+    Crossings,
+    OnceScattered,
+    Spread,
+    once_scattered,
+    tabulate,
+)
 from sim.water.tablecache import kept_arrays
 
 # Photons of a pencil beam in endless water, counted where they first cross spheres and planes.
@@ -229,7 +239,7 @@ class _ToPlanes(_Walk):
         return mi.Vector3f(-sine, 0, cosine)
 
 
-# Tables of scattered light of a scene's water: made once and kept in the user's cache.
+# Tables of scattered light of a scene's water: shipped, or made once and kept in the user's cache.
 
 
 FORMAT = 3  # of the kept files: raised where other numbers would be written
@@ -265,9 +275,11 @@ PHOTONS = photons_asked_for()
 
 
 def spread_of(water: Optics, photons: int = PHOTONS, seed: int = SEED) -> Spread:
-    """How a beam spreads in a water: from the user's cache, or made and kept there.
+    """How a beam spreads in a water: as shipped, from the user's cache, or made and kept there.
 
-    A command line shows how far the making is (``lscan.files.disk``).
+    Tables of the waters of ``scenes`` are shipped (``sim/water/spreads``, written by
+    ``make tables``) and serve whoever asks for no more photons.  A command line shows how far the
+    making of others is (``lscan.files.disk``).
 
     Parameters
     ----------
@@ -281,6 +293,14 @@ def spread_of(water: Optics, photons: int = PHOTONS, seed: int = SEED) -> Spread
         The water scatters nothing.
     """
     depths = _depths(water)
+    nearest, farthest = (float(depth) for depth in depths[[0, -1]])
+    shipped = shipped_file(water)
+    if shipped.is_file() and photons <= MOST_PHOTONS and seed == SEED:
+        with shipped.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            tables = (arrays[name].astype(float) for name in KEPT)
+            return Spread(
+                once_scattered(water.phase, _albedo(water), farthest), nearest, farthest, *tables
+            )
 
     def made() -> dict[str, Floats]:
         with long_work("tables of this water's scattered light") as progress:
@@ -291,9 +311,21 @@ def spread_of(water: Optics, photons: int = PHOTONS, seed: int = SEED) -> Spread
     phase = water.phase(ANGLE_AXIS.nodes())
     numbers = np.array([FORMAT, _albedo(water), photons, seed, *depths, *phase], dtype=float)
     kept = kept_arrays(f"spread-{hashlib.sha256(numbers.tobytes()).hexdigest()[:32]}", made)
-    nearest, farthest = (float(depth) for depth in depths[[0, -1]])
     once = OnceScattered(_albedo(water), farthest, kept["once"].view(complex))
     return Spread(once, nearest, farthest, *(kept[name] for name in KEPT))
+
+
+def shipped_file(water: Optics) -> Traversable:
+    """Where tables of this water, made of MOST_PHOTONS from SEED, lie if they are shipped.
+
+    Parameters
+    ----------
+    water : Optics, the water; its numbers are told apart to nine digits, which hardly depend on
+        the machine's own functions
+    """
+    numbers = [FORMAT, _albedo(water), *_depths(water), *water.phase(ANGLE_AXIS.nodes())]
+    told = " ".join(f"{number:.8e}" for number in numbers)
+    return files("sim.water") / "spreads" / f"{hashlib.sha256(told.encode()).hexdigest()[:32]}.npz"
 
 
 def make_spread(water: Optics, photons: int, seed: int, progress: Progress | None = None) -> Spread:

@@ -6,6 +6,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
+from ship_spreads import shipped_waters
 from shown_work import ShownWork
 
 from lscan.errors import InputError
@@ -13,14 +14,22 @@ from lscan.files.disk import long_work_shown
 from sim.render import spreads, spreads as photons
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.water import SpreadLookup
-from sim.render.spreads import photons_asked_for, spread_of
+from sim.render.spreads import (
+    MOST_PHOTONS,
+    SEED,
+    make_spread,
+    photons_asked_for,
+    shipped_file,
+    spread_of,
+)
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
 from sim.water.planes import ANGLE_AXIS, between_nodes
 from sim.water.spread import Spread
 
 PHOTONS = 2**14
-WATER = water_optics(Water(kind="harbor"), 650.0)
+WATER = water_optics(Water(kind="harbor"), 640.0)  # of no scene: no tables of it are shipped
+WATER_OF_SCENES = water_optics(Water(kind="tank", turbidity_ntu=5.0), 650.0)
 
 
 @pytest.fixture(autouse=True)
@@ -120,14 +129,60 @@ def test_what_a_table_depends_on_names_its_file(
         WATER,
         replace(WATER, absorption_per_mm=1.01 * WATER.absorption_per_mm),
         replace(WATER, molecular_weight=WATER.molecular_weight + 0.01),
-        water_optics(Water(kind="harbor", phase="henyey-greenstein", asymmetry=0.92), 650.0),
-        water_optics(Water(kind="harbor", phase="henyey-greenstein", asymmetry=0.90), 650.0),
+        water_optics(Water(kind="harbor", phase="henyey-greenstein", asymmetry=0.92), 640.0),
+        water_optics(Water(kind="harbor", phase="henyey-greenstein", asymmetry=0.90), 640.0),
     ]
     for water in waters:
         made(water)
     made(seed=2)
     spread_of(WATER, 2 * PHOTONS)
     assert len(list(cache.glob("spread-*[0-9a-f]"))) == len(waters) + 2
+
+
+def test_every_scene_finds_its_tables_shipped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And nothing else is shipped; where more photons or others are asked for, none serve."""
+    waters = {shipped_file(water): water for water in shipped_waters()}
+    folder = Path(str(next(iter(waters)))).parent
+    assert {Path(str(file)) for file in waters} == set(folder.iterdir())
+    monkeypatch.setattr(spreads, "make_spread", lambda *_: pytest.fail("makes a table"))
+    for water in waters.values():
+        assert np.all(spread_of(water, PHOTONS).error > 0)
+    for sent, seed in ((MOST_PHOTONS + 1, SEED), (PHOTONS, SEED + 1)):
+        with pytest.raises(pytest.fail.Exception, match="makes a table"):
+            spread_of(water, sent, seed)
+
+
+def test_a_shipped_table_is_what_is_made() -> None:
+    _assert_same_light(spread_of(WATER_OF_SCENES), WATER_OF_SCENES, 2**16)
+
+
+@pytest.mark.slow
+def test_every_shipped_table_is_what_is_made() -> None:
+    for water in {shipped_file(water): water for water in shipped_waters()}.values():
+        _assert_same_light(spread_of(water), water, 2**20)
+
+
+def test_a_table_that_is_five_percent_off_is_noticed() -> None:
+    spread = spread_of(WATER_OF_SCENES)
+    spread = replace(spread, multiple=spread.multiple + np.array([0.05, 0.0]))
+    with pytest.raises(AssertionError):
+        _assert_same_light(spread, WATER_OF_SCENES, 2**18)
+
+
+def _assert_same_light(shipped: Spread, water: Optics, photons: int) -> None:
+    """Shipped tables and others of another seed differ as their standard errors say.
+
+    Errors of neighbouring angles hang together: of the 40 angles and 4 distances at which they are
+    compared some twenty are independent, whose rms is at most 1 + 3 / sqrt(2 * 20).
+    """
+    one, other = shipped, make_spread(water, photons, SEED + 1)
+    theta, row = ANGLE_AXIS.nodes()[100:420:8], np.array([[20], [50], [80], [110]])
+    depth = one.depth_axis.nodes()[row]
+    light, again = (s.vector_irradiance(theta, depth, depth)[0] for s in (one, other))
+    error = np.hypot(one.error, other.error)[row, np.arange(100, 420, 8)]
+    z = (again - light) / light / error
+    assert np.sqrt(np.mean(z**2)) < 1.5
+    assert np.all(np.abs(z) < 5)
 
 
 def test_the_table_of_another_water_is_noticed() -> None:
