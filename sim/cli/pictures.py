@@ -13,7 +13,7 @@ from lscan.config.scenes import scenes_folder
 from lscan.errors import InputError
 from lscan.paper.experiment import Experiment
 from lscan.paper.report import results_json
-from sim.cli.arguments import OutputFolder, PaperFolder, Quick, SceneFile, show_places
+from sim.cli.app import OutputFolder, PaperFolder, Quick, SceneFile, show_places
 from sim.datasets.files import taken_at, taken_in, write_render, write_truth
 from sim.datasets.views import write_views
 from sim.devices import load_checked

@@ -17,7 +17,7 @@ from lscan.cli.console import (
     table,
 )
 from lscan.config.scenes import scenes_folder
-from sim.cli.arguments import STUDIES, OutputFolder, ScenesFolder, worker_processes
+from sim.cli.app import STUDIES, OutputFolder, ScenesFolder, worker_processes
 from sim.studies.budget import DesignTrial, OutputBudget
 from sim.studies.indices import Bounded
 from sim.studies.page import figure, kept, largest

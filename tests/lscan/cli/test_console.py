@@ -21,7 +21,7 @@ from lscan.cli import console
 from lscan.cli.console import EXTRACTORS, MAPS, note, progress_bar, show, table
 from lscan.config.scenes import scene_about, scene_names, spec_names
 from lscan.records import Length
-from sim.cli.arguments import STUDIES
+from sim.cli.app import STUDIES
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -71,7 +71,7 @@ print({name for name in sys.modules if name.startswith(("lscan.cli.", "sim.cli."
     *helps, heavy, loaded = done.stdout.splitlines()
     assert sum(line.startswith("Usage: ") for line in helps) >= 32
     assert heavy == "set()"
-    shared = {"lscan.cli.app", "lscan.cli.console", "sim.cli.app", "sim.cli.arguments"}
+    shared = {"lscan.cli.app", "lscan.cli.console", "sim.cli.app"}
     assert literal_eval(loaded) == shared
 
 
