@@ -20,7 +20,8 @@ from scipy.special import erf
 from lscan.board import read_board
 from lscan.calibration.calibrate import calibrate
 from lscan.calibration.check import map_for_rig
-from lscan.calibration.planemap import PlaneMap, find_solver, joined_marks
+from lscan.calibration.marks import joined_marks
+from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.config.board import Board
 from lscan.config.documents import Document, check, merge, read_document
 from lscan.config.plugins import find_plugin_or_function, names_code, raised

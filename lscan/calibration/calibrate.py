@@ -9,21 +9,10 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from lscan.calibration.fields import STRICT, Count, NotNegative
 from lscan.calibration.maps.polynomial import box, terms
-from lscan.calibration.planemap import (
-    NOTHING_KNOWN,
-    STRICT,
-    Count,
-    NamedSolver,
-    NotNegative,
-    PlaneMap,
-    all_marks,
-    find_solver,
-    found_marks,
-    joined_marks,
-    spacing_px,
-    without,
-)
+from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
+from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, find_solver
 from lscan.camera.resection import MEDIAN, pixel_derivatives
 from lscan.config.plugins import others_versions
 from lscan.config.rig import OpticsSection

@@ -23,10 +23,7 @@ from pydantic import (
 )
 
 from lscan.calibration.calibrate import Calibration, residuals
-from lscan.calibration.metric.planemap import Metric
-from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
-from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
-from lscan.calibration.planemap import (
+from lscan.calibration.fields import (
     STRICT,
     Count,
     FloatsWithGaps,
@@ -34,12 +31,14 @@ from lscan.calibration.planemap import (
     NotNegativeOrNaN,
     Number,
     Place,
-    PlaneMap,
     Sigmas,
     Vector,
     check_theta,
-    find_solver,
 )
+from lscan.calibration.metric.planemap import Metric
+from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
+from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
+from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.camera.posedboards import CAMERA, COUNT
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection

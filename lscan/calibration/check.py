@@ -20,6 +20,7 @@ from scipy.special import chdtrc, ndtr
 from lscan.calibration.calibrate import Calibration, ScreenedReading, calibration_by
 from lscan.calibration.calibrationfile import AnyCalibration
 from lscan.calibration.maps.auto import Auto
+from lscan.calibration.marks import all_marks, found_marks
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.offsheet import Similarity, fit_similarity
 from lscan.calibration.physical import PhysicalMap
@@ -29,8 +30,6 @@ from lscan.calibration.planemap import (
     PlaneMap,
     SheetCorrection,
     SolvedMap,
-    all_marks,
-    found_marks,
 )
 from lscan.camera.optics import stated_water
 from lscan.camera.posedboards import LIMITS, WATER

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 from scipy.linalg import block_diag
 
-from lscan.calibration.planemap import Matrix, Place, Vector, check_covariance, of_length
+from lscan.calibration.fields import Matrix, Place, Vector, check_covariance, of_length
 from lscan.config.documents import Strict, check
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError

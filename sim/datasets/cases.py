@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lscan.calibration.planemap import joined_marks
+from lscan.calibration.marks import joined_marks
 from lscan.config.documents import Document
 from lscan.config.rig import inline_board, parse_rig
 from lscan.config.targets import Sandwave

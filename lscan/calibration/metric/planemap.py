@@ -14,19 +14,10 @@ from typing import Annotated, NoReturn, Self
 import numpy as np
 from pydantic import AfterValidator, PrivateAttr, model_validator
 
+from lscan.calibration.fields import Matrix, Number, Pair, Place, Vector, check_theta, of_length
+from lscan.calibration.marks import Region
 from lscan.calibration.physical import PhysicalMap, SheetGeometry
-from lscan.calibration.planemap import (
-    MapSolver,
-    Matrix,
-    Number,
-    Pair,
-    Place,
-    Region,
-    Vector,
-    check_theta,
-    full_name,
-    of_length,
-)
+from lscan.calibration.planemap import MapSolver, full_name
 from lscan.camera import project, rays
 from lscan.camera.optics import meet_plane
 from lscan.camera.posedboards import CAMERA, COUNT, WATER, PortKind, camera_of

@@ -7,10 +7,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lscan.calibration.marks import found_on, region_around
 from lscan.calibration.metric.planemap import Metric, SheetView, metric_map
 from lscan.calibration.metric.sheet import LaserPlane, NoLaserPlane, find_plane
 from lscan.calibration.metric.views import CalibrationView, FittedView, LinePoints
-from lscan.calibration.planemap import found_on, region_around
 from lscan.camera.optics import stated_water
 from lscan.camera.posedboards import COUNT, CameraPriors, PosedBoards, priors_of
 from lscan.camera.resection import (

@@ -11,7 +11,7 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
-from lscan.calibration.planemap import Region, region_around
+from lscan.calibration.marks import Region, region_around
 from lscan.config.board import load_board
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection

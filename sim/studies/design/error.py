@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lscan.board.lattice import RIM_EVIDENCE
-from lscan.calibration.planemap import all_marks, joined_marks
+from lscan.calibration.marks import all_marks, joined_marks
 from lscan.config.documents import Document, merge
 from lscan.config.rig import parse_rig
 from lscan.errors import MeasurementError

@@ -12,7 +12,8 @@ from io import BytesIO
 import numpy as np
 
 from lscan.board import read_board
-from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver, joined_marks, with_marks
+from lscan.calibration.marks import joined_marks, with_marks
+from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver
 from lscan.errors import MeasurementError
 from lscan.files.containers import npz_arrays
 from lscan.records import (

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from lscan.calibration.planemap import joined_marks
+from lscan.calibration.marks import joined_marks
 from lscan.config.documents import Document, write_toml
 from lscan.config.rig import parse_rig
 from lscan.errors import MeasurementError
