@@ -43,7 +43,8 @@ from lscan.camera.posedboards import CAMERA, COUNT
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
-from lscan.files.disk import read_json, write_atomically
+from lscan.files.disk import write_atomically
+from lscan.files.jsonfiles import read_json
 from lscan.records import (
     Axis,
     BoardReading,

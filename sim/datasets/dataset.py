@@ -11,14 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lscan.errors import InputError
+from lscan.files.cache import long_work
 from lscan.files.datasets import MANIFEST, MOST_PICTURES, VERSION
-from lscan.files.disk import (
-    list_names,
-    long_work,
-    remove_temporaries,
-    write_atomically,
-    write_json,
-)
+from lscan.files.disk import list_names, remove_temporaries, write_atomically
+from lscan.files.jsonfiles import write_json
 from lscan.records import Progress
 from lscan.version import __version__
 from sim.datasets.datasetshards import (

@@ -20,15 +20,13 @@ from lscan.errors import InputError, LscanError
 from lscan.files.datasets import MEMBERS, run_lengths, shard_sha256
 from lscan.files.disk import (
     disk_errors,
-    json_text,
     list_names,
     make_folder,
-    read_json,
     sync_folder,
     temporary_name,
     write_atomically,
-    write_json,
 )
+from lscan.files.jsonfiles import json_text, read_json, write_json
 from lscan.files.pictures import encoded
 from sim.datasets.datasetspec import POSITION, DatasetSpec
 from sim.datasets.labels import Label, label_scene, line_columns, lit_truths, one_step_w_m2_sr

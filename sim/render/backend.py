@@ -34,7 +34,8 @@ from typing import TypeVar
 from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import MOST_TEXT_BYTES, cache_folder, read_cached, write_atomically
+from lscan.files.cache import cache_folder, read_cached
+from lscan.files.disk import MOST_TEXT_BYTES, write_atomically
 
 # Numbers below 1e-38 taken for 0, as Dr.Jit's own threads do, in the thread that calls too.
 #

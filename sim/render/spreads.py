@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.disk import long_work
+from lscan.files.cache import long_work
 from lscan.records import Floats, Progress
 from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.water import PhaseTable
@@ -267,7 +267,7 @@ PHOTONS = photons_asked_for()
 def spread_of(water: Optics, photons: int = PHOTONS, seed: int = SEED) -> Spread:
     """How a beam spreads in a water: from the user's cache, or made and kept there.
 
-    A command line shows how far the making is (``lscan.files.disk``).
+    A command line shows how far the making is (``lscan.files.cache``).
 
     Parameters
     ----------

@@ -13,7 +13,8 @@ from time import sleep
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.disk import cache_folder, long_work, read_cached, write_atomically
+from lscan.files.cache import cache_folder, long_work, read_cached
+from lscan.files.disk import write_atomically
 from lscan.records import Floats
 
 # Of a kept file: 64 for each triangle of a mesh in the tank, whose files hold up to 1.4e7 of them.

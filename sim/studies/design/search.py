@@ -18,7 +18,7 @@ import numpy as np
 from lscan.config.documents import Document, by_content
 from lscan.config.rig import parse_rig
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import json_text, read_json, write_json
+from lscan.files.jsonfiles import json_text, read_json, write_json
 from lscan.records import Floats, Mask, Progress
 from sim.scene import scene_of
 from sim.studies.design.catalogue import (
