@@ -53,11 +53,7 @@ class DemoEffort:
 FULL = DemoEffort(frames=None, render={}, checks=5, samples=64, scatter_samples=8)
 # A hundred frames are the fewest from which the sandwave's scan can be aligned.
 QUICK = DemoEffort(
-    frames=100,
-    render={"samples": 1, "scatter_samples": 0},
-    checks=1,
-    samples=4,
-    scatter_samples=1,
+    frames=100, render={"samples": 1, "scatter_samples": 0}, checks=1, samples=4, scatter_samples=1
 )
 
 

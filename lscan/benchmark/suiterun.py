@@ -23,15 +23,7 @@ from scipy.stats import wilcoxon
 
 from lscan.acquisition.scan import require_guarded_main
 from lscan.benchmark.drawn import SHAPE, centres, draw, draw_worst
-from lscan.benchmark.judging import (
-    ROLES,
-    SUMS,
-    CaseResult,
-    CaseSums,
-    WorstColumn,
-    judge,
-    worst_of,
-)
+from lscan.benchmark.judging import ROLES, SUMS, CaseResult, CaseSums, WorstColumn, judge, worst_of
 from lscan.benchmark.methods import THRESHOLD_DN, cases
 from lscan.config.plugins import others_versions
 from lscan.config.rig import StripeSection

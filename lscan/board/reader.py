@@ -50,11 +50,7 @@ ENOUGH = 0.9  # of the other marks in view: the board is not looked at any other
 
 
 def read_board(
-    image: NDArray[Any],
-    board: Board,
-    *,
-    seeds: Floats | None = None,
-    channel: Channel = "grey",
+    image: NDArray[Any], board: Board, *, seeds: Floats | None = None, channel: Channel = "grey"
 ) -> BoardReading:
     """All marks of the calibration board found in one picture (Sec. III.1 and III.3).
 

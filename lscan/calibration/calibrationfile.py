@@ -45,16 +45,7 @@ from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.files.disk import write_atomically
 from lscan.files.jsonfiles import read_json
-from lscan.records import (
-    Axis,
-    BoardReading,
-    Ints,
-    Mark,
-    Marks,
-    RingPoints,
-    RulerReading,
-    Status,
-)
+from lscan.records import Axis, BoardReading, Ints, Mark, Marks, RingPoints, RulerReading, Status
 
 FORMAT: Final = "lscan-calibration"
 METRIC_FORMAT: Final = "lscan-metric-calibration"

@@ -130,10 +130,7 @@ def _stated_response(
 
 
 def _backscatter(
-    found: Roughness,
-    ground: Sediment,
-    frequencies: list[float] | None,
-    angles: list[float] | None,
+    found: Roughness, ground: Sediment, frequencies: list[float] | None, angles: list[float] | None
 ) -> list[dict[str, float]]:
     """One row for each frequency and angle."""
     rows = []

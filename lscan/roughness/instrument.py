@@ -334,9 +334,7 @@ def response_of(rig: Rig, surface: Surface, peak_dn: float | None = None) -> Sca
     pixel_mm = float(np.median(apart[good[:, 1:] & good[:, :-1]]))
     blur_px = rig.stripe.blur_px or 0.0
     along = ScannerResponse(
-        blur_cm=blur_px * pixel_mm / MM_PER_CM,
-        pixel_cm=pixel_mm / MM_PER_CM,
-        corrected_px=blur_px,
+        blur_cm=blur_px * pixel_mm / MM_PER_CM, pixel_cm=pixel_mm / MM_PER_CM, corrected_px=blur_px
     )
     if rig.sheet is None or is_thickness_corrected(surface):
         return along

@@ -349,11 +349,7 @@ def most_likely_law(
 
 
 def _most_likely(
-    patch: Patch,
-    band: Band,
-    stretched: bool,
-    response: Density | None,
-    known: Known | None,
+    patch: Patch, band: Band, stretched: bool, response: Density | None, known: Known | None
 ) -> tuple["_Likelihood", Floats]:
     """The likelihood of the differences that suit the exponent, and where it is largest."""
     theta = np.zeros(4 if stretched else 2)

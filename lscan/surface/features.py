@@ -247,12 +247,7 @@ def _sample_area(xyz: Floats, valid: Mask) -> float:
 
 
 def _crossings(
-    xyz: Floats,
-    mask: Mask,
-    direction: int,
-    spacing: Floats,
-    slope: float,
-    open_end: Mask | None,
+    xyz: Floats, mask: Mask, direction: int, spacing: Floats, slope: float, open_end: Mask | None
 ) -> EdgeCrossings:
     """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x).
 

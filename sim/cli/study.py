@@ -7,15 +7,7 @@ from typing import get_args
 from rich.table import Table
 from typer import Argument, Option
 
-from lscan.cli.console import (
-    Json,
-    keep_notes_when_stopped,
-    note,
-    one_of,
-    progress_bar,
-    show,
-    table,
-)
+from lscan.cli.console import Json, keep_notes_when_stopped, note, one_of, progress_bar, show, table
 from lscan.config.scenes import scenes_folder
 from sim.cli.app import STUDIES, OutputFolder, ScenesFolder, worker_processes
 from sim.studies.budget import DesignTrial, OutputBudget

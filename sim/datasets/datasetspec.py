@@ -9,14 +9,7 @@ from typing import Annotated, Self, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.config.documents import (
-    Document,
-    Strict,
-    by_content,
-    check,
-    named_files,
-    read_document,
-)
+from lscan.config.documents import Document, Strict, by_content, check, named_files, read_document
 from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
 from sim.devices import load_checked

@@ -162,10 +162,7 @@ class EmulatedHardware:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        options: ServeOptions | None = None,
-        progress: Progress | None = None,
+        self, scene: Scene, options: ServeOptions | None = None, progress: Progress | None = None
     ) -> None:
         """Switch on.
 

@@ -399,11 +399,7 @@ def at_moment(scene: Scene, frame: int, position_mm: float) -> Moment:
     turn = np.add(head.turn_deg, errors.turn_deg(position_mm))
     shift = np.add(head.shift_mm, errors.shift_mm(position_mm))
     here = {"turn_deg": tuple(turn.tolist()), "shift_mm": tuple(shift.tolist())}
-    update = {
-        "head": head.model_copy(update=here),
-        "track_errors": TrackErrors(),
-        "change": (),
-    }
+    update = {"head": head.model_copy(update=here), "track_errors": TrackErrors(), "change": ()}
     changed = replace(changed, tank=changed.tank.model_copy(update=update))
     return Moment(changed, errors.true_mm(scene.rig.plan, frame, position_mm))
 

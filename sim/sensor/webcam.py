@@ -223,10 +223,7 @@ class Webcam:
         return StillView(sensor, pattern, self._filter, steady, direct, first, contrast)
 
     def mean_electrons(
-        self,
-        layers: Layers,
-        exposure_ms: float,
-        wavelength_nm: float | None = None,
+        self, layers: Layers, exposure_ms: float, wavelength_nm: float | None = None
     ) -> Electrons:
         """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well.
 

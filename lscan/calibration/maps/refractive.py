@@ -179,11 +179,7 @@ class Refractive(PhysicalMap):
         """Camera and board, in whose plane the sheet lies."""
         view = self.view
         return SheetGeometry(
-            view.theta[: len(CAMERA)],
-            self.port,
-            view.axes[0],
-            view.places_mm[0],
-            self.centre_mm,
+            view.theta[: len(CAMERA)], self.port, view.axes[0], view.places_mm[0], self.centre_mm
         )
 
     def in_water(self, known: Known) -> Self:

@@ -339,10 +339,7 @@ class OpencvCameraDriver:
         """Where its pictures come from, and whether its exposure can be set."""
         options = self._options(rig_file)
         kind = "device" if options.device is not None else "url" if options.url else "file"
-        return {
-            kind: str(getattr(options, kind)),
-            "exposure_settable": options.exposure_settable,
-        }
+        return {kind: str(getattr(options, kind)), "exposure_settable": options.exposure_settable}
 
     def open(self, rig_file: RigFile, track: Track) -> OpencvCamera:
         """The camera, ready to grab; DeviceError where it is not as the rig file says."""

@@ -326,11 +326,7 @@ def _cluster(
 
 @dr.syntax
 def received(
-    line: LitLine,
-    point: mi.Point3f,
-    normal: mi.Vector3f,
-    extinction: mi.Float,
-    active: mi.Bool,
+    line: LitLine, point: mi.Point3f, normal: mi.Vector3f, extinction: mi.Float, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
     """Irradiance in mW/mm2 of places by the matt segments of a line, if none is hidden.
 

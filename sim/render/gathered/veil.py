@@ -159,12 +159,7 @@ class HaloPaths:
         )
 
     def _lights(
-        self,
-        scene: mi.Scene,
-        eye: mi.Point3f,
-        way: mi.Vector3f,
-        end: mi.Float,
-        line: LinePlaces,
+        self, scene: mi.Scene, eye: mi.Point3f, way: mi.Vector3f, end: mi.Float, line: LinePlaces
     ) -> tuple[mi.Float, mi.Float]:
         """Light scattered once into the camera's rays, left by surfaces, and by planes."""
         phase, extinction = self._phase, self._extinction
