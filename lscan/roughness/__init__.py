@@ -12,12 +12,10 @@ from lscan.roughness.instrument import (
 )
 from lscan.roughness.patch import MM_PER_CM, Patch, patch_of, patch_of_cells, patch_of_profiles
 from lscan.roughness.ripples import (
-    ProfileWaves,
     RippleSpread,
     RippleTrain,
     find_ripples,
     fit_waves,
-    profile_waves,
     ripple_spread,
     without_ripples,
 )
@@ -61,7 +59,6 @@ __all__ = [
     "PowerLaw",
     "PowerLawFit",
     "ProfileSpectrum",
-    "ProfileWaves",
     "RingSpectrum",
     "RippleSpread",
     "RippleTrain",
@@ -91,7 +88,6 @@ __all__ = [
     "patch_spectrum",
     "predicted_backscatter",
     "profile_spectrum",
-    "profile_waves",
     "reflection",
     "response_of",
     "ripple_spread",
