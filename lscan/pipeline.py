@@ -166,11 +166,8 @@ def finish(raw: Surface, rig: Rig, kept: KeptAlignment | None = None) -> Reconst
     """
     if kept is not None:
         if rig.shaft is not None:
-            raise InputError(
-                "a kept alignment is that of a linear track",
-                where=kept.source,
-                allowed="a scan without [shaft]",
-            )
+            what = "a kept alignment is that of a linear track"
+            raise InputError(what, where=kept.source, allowed="a scan without [shaft]")
         alignment = kept.of(raw)
         done = f"yaw and level by {kept.source}"
         surface = place(raw, alignment, rig)
@@ -696,11 +693,9 @@ def lengths_json(lengths: Mapping[str, Length]) -> dict[str, dict[str, float]]:
 
 
 def _nothing_to_measure(run: Run, missing: str) -> InputError:
-    return InputError(
-        f"the run's rig file {missing}; `lscan reconstruct` gives the surface of what is there",
-        where=run.path,
-        allowed='a picture of the [board], or [workpiece] kind = "grooved-block" or "sandwave"',
-    )
+    what = f"the run's rig file {missing}; `lscan reconstruct` gives the surface of what is there"
+    allowed = 'a picture of the [board], or [workpiece] kind = "grooved-block" or "sandwave"'
+    return InputError(what, where=run.path, allowed=allowed)
 
 
 def require_piece(run: Run, wanted: type[Piece]) -> Piece:
@@ -719,9 +714,6 @@ def require_piece(run: Run, wanted: type[Piece]) -> Piece:
     piece = run.rig_file.rig.workpiece
     if isinstance(piece, wanted):
         return piece
-    raise InputError(
-        "the run's rig file has another workpiece",
-        where=run.path,
-        value=piece.kind if piece else None,
-        allowed=f'[workpiece] kind = "{wanted.model_fields["kind"].default}"',
-    )
+    what = "the run's rig file has another workpiece"
+    allowed = f'[workpiece] kind = "{wanted.model_fields["kind"].default}"'
+    raise InputError(what, where=run.path, value=piece.kind if piece else None, allowed=allowed)

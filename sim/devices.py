@@ -365,11 +365,8 @@ def camera_options(scene: Scene) -> CameraOptions:
     )
     sensor = scene.tank.sensor
     if options.auto_exposure and any(c.key == "camera.exposure_ms" for c in scene.tank.change):
-        raise InputError(
-            "change: camera.exposure_ms is found anew for each picture by auto exposure",
-            where=scene.source,
-            allowed="camera.options.auto_exposure = false",
-        )
+        what = "change: camera.exposure_ms is found anew for each picture by auto exposure"
+        raise InputError(what, where=scene.source, allowed="camera.options.auto_exposure = false")
     black_dn = 255 * (sensor.black_level_dn / 255) ** (1 / sensor.gamma)
     if options.auto_exposure and options.target_dn <= black_dn:
         raise InputError(
@@ -389,12 +386,8 @@ def _check_files(scene: Scene) -> None:
     }
     for key, file in named.items():
         if file is not None and not os.path.isfile(file):  # noqa: PTH113 - takes any text
-            raise InputError(
-                f"{key}: no such file",
-                where=scene.source,
-                value=file,
-                allowed="a file, its path counted from the scene's folder",
-            )
+            where, allowed = scene.source, "a file, its path counted from the scene's folder"
+            raise InputError(f"{key}: no such file", where=where, value=file, allowed=allowed)
 
 
 camera_driver = SimCameraDriver()

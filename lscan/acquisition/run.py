@@ -487,12 +487,9 @@ def require_same_files(files: Mapping[str, str], where: Path) -> None:
     for file, kept in files.items():
         now = content_sha256(Path(file))
         if now != kept:
-            raise InputError(
-                f"{'was changed' if now else 'is gone'} since {where} was made with it",
-                where=file,
-                value=now or None,
-                allowed=f"SHA-256 {kept}: bring that file back, or begin anew",
-            )
+            what = f"{'was changed' if now else 'is gone'} since {where} was made with it"
+            allowed = f"SHA-256 {kept}: bring that file back, or begin anew"
+            raise InputError(what, where=file, value=now or None, allowed=allowed)
 
 
 def first_difference(one: Any, other: Any) -> str | None:

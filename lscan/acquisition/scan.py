@@ -506,8 +506,6 @@ def require_guarded_main() -> None:
     (statement,) = (one for one in body if one.lineno <= line <= (one.end_lineno or line))
     names = {one.id for one in ast.walk(statement) if isinstance(one, ast.Name)}
     if not (isinstance(statement, ast.If) and "__name__" in names):
-        raise InputError(
-            "starts processes, each of which would run this script again",
-            where=f"{file} line {line}",
-            allowed='beneath if __name__ == "__main__":',
-        )
+        what = "starts processes, each of which would run this script again"
+        allowed = 'beneath if __name__ == "__main__":'
+        raise InputError(what, where=f"{file} line {line}", allowed=allowed)

@@ -267,9 +267,8 @@ def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for case, axes in run.axes.items():
         if missing := [axis for axis in by if axis not in axes]:
-            raise InputError(
-                "no such axis", where="--by", value=missing[0], allowed=", ".join(axes)
-            )
+            what = "no such axis"
+            raise InputError(what, where="--by", value=missing[0], allowed=", ".join(axes))
         groups.setdefault(tuple(axes[axis] for axis in by), []).append(case)
     return [
         row_of(

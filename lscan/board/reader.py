@@ -98,11 +98,9 @@ def read_board(
             )
         return reading
     if not board.grid.whole and (board.ruler or board.dot or board.ring):
-        raise InputError(
-            "rulers, dots and rings cannot be placed where the origin is whichever dot is seen",
-            where="board",
-            allowed="grid.whole = true, seeds that say which dot is O, or control points alone",
-        )
+        what = "rulers, dots and rings cannot be placed where the origin is whichever dot is seen"
+        allowed = "grid.whole = true, seeds that say which dot is O, or control points alone"
+        raise InputError(what, where="board", allowed=allowed)
     try:
         picture, nodes = _search_from_anywhere(bright, board)
     except BoardNotFound:

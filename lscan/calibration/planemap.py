@@ -593,18 +593,13 @@ def _sigma_or_zero(image_px: Floats, sigma_px: Floats | None) -> Floats:
         return np.zeros(len(image_px))
     sigma = np.asarray(sigma_px, dtype=float)
     if sigma.shape != image_px.shape[:1]:
-        raise InputError(
-            "bad shape", where="sigma_px", value=sigma.shape, allowed=f"({len(image_px)},)"
-        )
+        what = "bad shape"
+        raise InputError(what, where="sigma_px", value=sigma.shape, allowed=f"({len(image_px)},)")
     bad = np.isfinite(image_px).all(axis=1) & ~((sigma >= 0) & np.isfinite(sigma))
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
-        raise InputError(
-            "bad uncertainty",
-            where=f"sigma_px[{first}]",
-            value=float(sigma[first]),
-            allowed="a finite number not below 0",
-        )
+        where, allowed = f"sigma_px[{first}]", "a finite number not below 0"
+        raise InputError("bad uncertainty", where=where, value=float(sigma[first]), allowed=allowed)
     return sigma
 
 

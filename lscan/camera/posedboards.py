@@ -128,12 +128,8 @@ def priors_of(
             sigma[index] = np.inf
         low, high = LEAST[index], GREATEST[index]
         if not (np.isfinite(mean[index]) and low <= mean[index] <= high):
-            raise InputError(
-                "out of range",
-                where="k3" if name == "k3" else f"optics.{name}",
-                value=float(mean[index]),
-                allowed=f"{low:g} to {high:g}",
-            )
+            where, allowed = "k3" if name == "k3" else f"optics.{name}", f"{low:g} to {high:g}"
+            raise InputError("out of range", where=where, value=float(mean[index]), allowed=allowed)
     if optics.port == "none":
         mean[WATER] = 1.0
         sigma[len(LENS) :] = 0.0

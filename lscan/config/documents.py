@@ -318,12 +318,9 @@ def _exclude(included: Document, name: str, source: Path) -> None:
     table = _value_at(included, tuple(tables))
     if not isinstance(table, dict) or key not in table:
         there = ", ".join(sorted(included)) or "nothing, for the file includes none"
-        raise InputError(
-            "exclude: is not in what the file includes",
-            where=source,
-            value=name,
-            allowed=f"{there}; a key of a table as table.key",
-        )
+        what = "exclude: is not in what the file includes"
+        allowed = f"{there}; a key of a table as table.key"
+        raise InputError(what, where=source, value=name, allowed=allowed)
     del table[key]
 
 

@@ -405,12 +405,8 @@ def _check_shaft(rig: Rig, source: str) -> None:
     plan = rig.plan
     turn_deg = degrees((plan.frames - 1) * abs(plan.step_mm) / rig.shaft.arc_radius_mm)
     if turn_deg > 360 * (1 + 1e-9):
-        raise InputError(
-            "plan: turns the head by more than a full turn about [shaft]",
-            where=source,
-            value=f"{turn_deg:g} deg",
-            allowed="360 deg or less",
-        )
+        what = "plan: turns the head by more than a full turn about [shaft]"
+        raise InputError(what, where=source, value=f"{turn_deg:g} deg", allowed="360 deg or less")
     if rig.sheet is not None:
         raise InputError(
             "sheet: its thickness is corrected for on a linear track only",

@@ -99,9 +99,8 @@ def picture_delay(
         change = on - off
         most_dn = np.abs(change).max()
         if most_dn < LEAST_DN:
-            raise MeasurementError(
-                "delay: no picture shows the laser switched; let the camera see its line"
-            )
+            what = "delay: no picture shows the laser switched; let the camera see its line"
+            raise MeasurementError(what)
         line = np.where(np.abs(change) >= most_dn / 2, change, 0.0)  # not what else changes a bit
         weight = line / (line**2).sum()
         delays_ms = []
@@ -539,11 +538,8 @@ def try_track(
         Where the track fails.
     """
     if approaches < FEWEST_APPROACHES:
-        raise InputError(
-            "too few approaches to measure how they repeat",
-            value=approaches,
-            allowed=f"{FEWEST_APPROACHES} or more",
-        )
+        what = "too few approaches to measure how they repeat"
+        raise InputError(what, value=approaches, allowed=f"{FEWEST_APPROACHES} or more")
     if not step_mm > 0:
         raise InputError("the step must be above 0 mm", value=step_mm)
     stood_mm = track.position_mm

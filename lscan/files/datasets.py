@@ -103,9 +103,8 @@ class DatasetPicture:
         where, allowed = self._where("labels.png"), f"grey, {self.size_px[::-1]}"
         labels = read_png(self._member("labels.png"), where)
         if labels.shape != self.size_px[::-1]:
-            raise InputError(
-                "is of another shape", where=where, value=labels.shape, allowed=allowed
-            )
+            what = "is of another shape"
+            raise InputError(what, where=where, value=labels.shape, allowed=allowed)
         return labels
 
     @cached_property

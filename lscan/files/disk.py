@@ -198,12 +198,9 @@ def require_within(path: Path, folder: Path) -> None:
     """
     followed = os.path.realpath(path)
     if not Path(followed).is_relative_to(os.path.realpath(folder)):
-        raise InputError(
-            f"is a link that leads out of {folder}",
-            where=path,
-            value=followed,
-            allowed="what lies in the folder itself; copy it there",
-        )
+        what = f"is a link that leads out of {folder}"
+        allowed = "what lies in the folder itself; copy it there"
+        raise InputError(what, where=path, value=followed, allowed=allowed)
 
 
 def list_names(folder: Path) -> set[str]:

@@ -244,9 +244,8 @@ def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[
     }
     if not measured:
         names = ", ".join(sorted(places)) or "none are on the board"
-        raise MeasurementError(
-            f"no distance of the board can be measured: dots looked for: {names}"
-        )
+        what = f"no distance of the board can be measured: dots looked for: {names}"
+        raise MeasurementError(what)
     return measured
 
 

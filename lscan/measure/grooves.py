@@ -633,9 +633,8 @@ def compare_slice(measured: Slice, piece: Sandwave, visible: Mask | None = None)
         seen &= visible
     compared = inside & seen
     if not compared.any():
-        raise MeasurementError(
-            f"slice: none of its {len(x)} points has data on the waves to compare with eq. (4)"
-        )
+        what = f"slice: none of its {len(x)} points has data on the waves to compare with eq. (4)"
+        raise MeasurementError(what)
     nominal = piece.height_mm(x, y)
     return SliceErrors(
         nominal_mm=nominal,

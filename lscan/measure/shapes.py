@@ -683,9 +683,8 @@ def _points_in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoin
             inside &= (values >= limits[0]) & (values <= limits[1])
     points = measured_points(surface, inside)
     if len(points.xyz_mm) == 0:
-        raise MeasurementError(
-            f"{name!r}: the surface has no point in its box; it has points in {_reach(surface)}"
-        )
+        what = f"{name!r}: the surface has no point in its box; it has points in {_reach(surface)}"
+        raise MeasurementError(what)
     return points.only(np.arange(0, len(points.xyz_mm), -(-len(points.xyz_mm) // MOST_POINTS)))
 
 
@@ -703,9 +702,8 @@ def _measure(kind: str, name: str, fit: ShapeFit, points: MeasuredPoints) -> Sha
     shape = fit.shape
     assert isinstance(shape, MeasuredShape)
     if not fit.determined or fit.share_of_noise(points) > MOST_NOISE:
-        raise MeasurementError(
-            f"{kind} {name!r}: the points in its box do not determine it, given their scatter"
-        )
+        what = f"{kind} {name!r}: the points in its box do not determine it, given their scatter"
+        raise MeasurementError(what)
     values = shape.quantities()
     sigma = fit.sigma(_gradient(shape, len(fit.covariance)))
     return ShapeMeasure(

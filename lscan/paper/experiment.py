@@ -467,10 +467,8 @@ def _chain(plane_map: str, rigs: Sequence[Rig]) -> Chain:
 def _best_runs(runs: Mapping[str, Run], best: Mapping[str, Rig] | None) -> dict[str, Run]:
     """The runs with rigs that have them read by the best chain."""
     if best is None and "optics" not in runs["board"].rig_file.document:
-        raise InputError(
-            f"the rig file has no section [optics], which the map {BEST_MAP} starts from",
-            where=runs["board"].path,
-        )
+        what = f"the rig file has no section [optics], which the map {BEST_MAP} starts from"
+        raise InputError(what, where=runs["board"].path)
     return {
         part: _read_as(run, _best_rig(run.rig_file.rig) if best is None else best[part])
         for part, run in runs.items()

@@ -110,9 +110,8 @@ def line_reading(
     moved = (shown[0] - shown[1]) / (2 * AMPLITUDE_PX)
     gain = np.array([_gain(moved[each == k], phase[each == k]) for k in range(STEPS)])
     if not np.isfinite(gain).all():
-        raise InputError(
-            "finds no line", where=f"extractor {settings.extractor}", value=f"{peak_dn:g} DN"
-        )
+        what = "finds no line"
+        raise InputError(what, where=f"extractor {settings.extractor}", value=f"{peak_dn:g} DN")
     return LineReading(size, gain)
 
 

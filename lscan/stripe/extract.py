@@ -684,12 +684,8 @@ def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
     # A view with one row per entry of the stripe: what is painted there is in the picture.
     lines = canvas.transpose(1, 0, 2) if stripe.axis == "columns" else canvas
     if len(stripe.status) != len(lines):
-        raise InputError(
-            "stripe is not of the picture's size",
-            where="draw_stripe",
-            value=len(stripe.status),
-            allowed=f"{len(lines)} {stripe.axis}",
-        )
+        what, allowed = "stripe is not of the picture's size", f"{len(lines)} {stripe.axis}"
+        raise InputError(what, where="draw_stripe", value=len(stripe.status), allowed=allowed)
     colours = _COLOURS[stripe.status]
     lines[:, :_EDGE_PX] = colours[:, None]
     valued = np.flatnonzero(has_value(stripe.status))

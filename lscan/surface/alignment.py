@@ -564,9 +564,8 @@ def save_alignment(
         Where the scan was made about a shaft, or the file cannot be written.
     """
     if not alignment.sheared:
-        raise InputError(
-            "a scan about a shaft has no yaw to keep", where=path, allowed="a linear track"
-        )
+        what = "a scan about a shaft has no yaw to keep"
+        raise InputError(what, where=path, allowed="a linear track")
     modes = alignment.modes * IN_FILE[:, None]
     count = modes.shape[1] - PARAMETERS
     own = modes[:, count:]

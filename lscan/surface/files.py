@@ -371,12 +371,9 @@ def _require_whole_modes(path: Path, modes: Floats, common: Floats | None, there
     stated = common[there]
     apart = np.abs(total - stated) > UNLIKE * (stated + np.median(stated))
     if np.isnan(stated).any() or apart.any():
-        raise InputError(
-            f"modes: are not those whose size {COMMON} states",
-            where=path,
-            value=f"{int(apart.sum())} points",
-            allowed="all modes, as the file was written with",
-        )
+        what = f"modes: are not those whose size {COMMON} states"
+        allowed = "all modes, as the file was written with"
+        raise InputError(what, where=path, value=f"{int(apart.sum())} points", allowed=allowed)
 
 
 def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:

@@ -164,12 +164,9 @@ def require_head_frame(surface: Surface) -> None:
     surface : Surface
     """
     if surface.frame != "head":
-        raise InputError(
-            "is aligned already",
-            where="surface",
-            value=surface.frame,
-            allowed="the head frame, as of a rig that names no sandwave in [workpiece]",
-        )
+        what = "is aligned already"
+        allowed = "the head frame, as of a rig that names no sandwave in [workpiece]"
+        raise InputError(what, where="surface", value=surface.frame, allowed=allowed)
 
 
 def _require_one(what: str, found: set[int], allowed: str) -> None:

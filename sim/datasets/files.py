@@ -195,9 +195,8 @@ def write_truth(
     if scene.tank.target.shape == "board":
         makers["board"], tables["board"] = partial(_board_rows, scene), [BOARD_COLUMNS]
     if not makers:
-        raise InputError(
-            "no truth to write: the laser is off and the target is no board", where=scene.source
-        )
+        what = "no truth to write: the laser is off and the target is no board"
+        raise InputError(what, where=scene.source)
     for first in range(0, len(taken), AT_ONCE):
         for name, rows in makers.items():
             tables[name] += rows(taken[first : first + AT_ONCE])
@@ -217,9 +216,8 @@ def _written(file: Path, rows: Sequence[Row]) -> TruthTable:
 
 def _check_place(position_mm: float) -> None:
     if not abs(position_mm) <= FARTHEST_MM:  # also refuses NaN
-        raise InputError(
-            "out of range", where="--position", value=position_mm, allowed=f"+-{FARTHEST_MM:g} mm"
-        )
+        allowed = f"+-{FARTHEST_MM:g} mm"
+        raise InputError("out of range", where="--position", value=position_mm, allowed=allowed)
 
 
 def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[Row]:

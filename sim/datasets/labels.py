@@ -185,13 +185,11 @@ def check_sampling(scene: Scene, position_mm: float, samples: int, where: object
     middle_px = float(np.nanmedian(widths))
     side = int(np.ceil(np.sqrt(np.log(2 / RIPPLE) / 2) / (np.pi * middle_px)))
     if isqrt(samples) < side:
-        raise InputError(
+        what = (
             f"samples lie farther apart than the sharp line is wide, a standard deviation of "
-            f"{middle_px:.2g} px: its columns would be wrong by more than {RIPPLE:.0%}",
-            where=where,
-            value=samples,
-            allowed=f"{side**2} or more",
+            f"{middle_px:.2g} px: its columns would be wrong by more than {RIPPLE:.0%}"
         )
+        raise InputError(what, where=where, value=samples, allowed=f"{side**2} or more")
 
 
 def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:

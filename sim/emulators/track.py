@@ -131,11 +131,8 @@ class EmulatedTrack:
                 self._link.symlink_to(self._terminal.port)
             except OSError as error:
                 self._terminal.close()
-                raise InputError(
-                    f"cannot be made a link: {error.strerror}",
-                    where="--link",
-                    value=str(self._link),
-                ) from error
+                what = f"cannot be made a link: {error.strerror}"
+                raise InputError(what, where="--link", value=str(self._link)) from error
 
     def rig_options(self) -> dict[str, Any]:
         """``[track.options]`` of a rig file for this track.

@@ -104,9 +104,8 @@ def _refuse_change(scene: Scene) -> None:
     }
     for key, (is_so, allowed) in refused.items():
         if is_so:
-            raise InputError(
-                f"{key}: cannot be served as hardware", where=scene.source, allowed=allowed
-            )
+            what = f"{key}: cannot be served as hardware"
+            raise InputError(what, where=scene.source, allowed=allowed)
 
 
 # The emulated camera: it goes on taking pictures from where the head stands.
@@ -312,12 +311,9 @@ class MjpegServer(ThreadingTCPServer):
         try:
             super().__init__((HOST, port), _Client)
         except OSError as error:
-            raise InputError(
-                f"cannot listen there: {error.strerror}",
-                where="--http-port",
-                value=port,
-                allowed="a port that no other program holds; 0 for any",
-            ) from error
+            what = f"cannot listen there: {error.strerror}"
+            allowed = "a port that no other program holds; 0 for any"
+            raise InputError(what, where="--http-port", value=port, allowed=allowed) from error
         self._thread = threading.Thread(
             target=self.serve_forever, args=(0.05,), name="http", daemon=True
         )

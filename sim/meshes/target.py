@@ -136,11 +136,8 @@ def _with_texture(part: MeshPart, scene: Scene, texture: Texture) -> MeshPart:
         return part
     target = scene.tank.target
     if part.paint is not None:
-        raise InputError(
-            "target.texture does not go with a mesh that has vertex colours",
-            where=scene.source,
-            value=target.file,
-        )
+        what = "target.texture does not go with a mesh that has vertex colours"
+        raise InputError(what, where=scene.source, value=target.file)
     plane = (0, 2) if target.shape == "board" else (0, 1)
     with _naming_file(scene, "target.texture.file"):
         paint = picture_paint(texture, part.mesh.vertices[:, plane])

@@ -42,11 +42,8 @@ def fineness_of(shape: tuple[int, ...], picture: tuple[int, int]) -> int:
     fineness = shape[0] // picture[0]
     if fineness < 1 or shape != (fineness * picture[0], fineness * picture[1]):
         height, width = picture
-        raise InputError(
-            "layers and picture differ in size",
-            value=shape,
-            allowed=f"({height}, {width}) or a whole multiple of it",
-        )
+        allowed = f"({height}, {width}) or a whole multiple of it"
+        raise InputError("layers and picture differ in size", value=shape, allowed=allowed)
     return fineness
 
 

@@ -279,12 +279,10 @@ class Tank:
         """
         self._look(anew=False, gathered=True)
         if self._gathered is None or self._sparse is None:
-            raise InputError(
-                "its light of higher orders is not gathered",
-                where=self.scene.source,
-                value=self.scene.tank.render.light,
-                allowed='render.light = "gathered" and what that can do',
-            )
+            what = "its light of higher orders is not gathered"
+            where = self.scene.source
+            allowed = 'render.light = "gathered" and what that can do'
+            raise InputError(what, where=where, value=self.scene.tank.render.light, allowed=allowed)
         samples = self.scene.tank.render.samples if samples is None else samples
         self.place(position_mm)
         head = head_pose(self.scene.tank.head, position_mm)

@@ -137,12 +137,8 @@ class Scene:
     def board(self) -> Board:
         """The board that is the target; InputError where the target is another."""
         if self.tank.target.shape != "board" or self.rig.board is None:
-            raise InputError(
-                "target is not the board",
-                where=self.source,
-                value=self.tank.target.shape,
-                allowed='shape = "board"',
-            )
+            what, allowed = "target is not the board", 'shape = "board"'
+            raise InputError(what, where=self.source, value=self.tank.target.shape, allowed=allowed)
         return self.rig.board
 
     def true_board(self) -> TrueBoard:
@@ -238,19 +234,12 @@ def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
     stated, source = rig_file.rig.shaft, rig_file.source
     if stated is None:
         if head.shaft is not None:
-            raise InputError(
-                "head.shaft: needs the section [shaft]",
-                where=source,
-                allowed="head.shaft left out, or the section [shaft] beside it",
-            )
+            allowed = "head.shaft left out, or the section [shaft] beside it"
+            raise InputError("head.shaft: needs the section [shaft]", where=source, allowed=allowed)
         return head
     if head.speed_mm_s != 0:
-        raise InputError(
-            "head.speed_mm_s: a head on a shaft stands still while a picture is taken",
-            where=source,
-            value=head.speed_mm_s,
-            allowed="0",
-        )
+        what = "head.speed_mm_s: a head on a shaft stands still while a picture is taken"
+        raise InputError(what, where=source, value=head.speed_mm_s, allowed="0")
     true = head.shaft or TrueShaft(point_mm=stated.point_mm, direction=stated.direction)
     if true.arc_radius_mm is None:
         true = true.model_copy(update={"arc_radius_mm": stated.arc_radius_mm})
@@ -269,12 +258,9 @@ def _check_target(scene: Scene) -> None:
     shape, rig = scene.tank.target.shape, scene.rig
     needed: dict[str, Any] = {"board": rig.board, "workpiece": rig.workpiece}
     if shape in needed and needed[shape] is None:
-        raise InputError(
-            f"target.shape: needs the section [{shape}]",
-            where=scene.source,
-            value=shape,
-            allowed=f"the section [{shape}] beside it, or another shape",
-        )
+        what = f"target.shape: needs the section [{shape}]"
+        allowed = f"the section [{shape}] beside it, or another shape"
+        raise InputError(what, where=scene.source, value=shape, allowed=allowed)
     if rig.board is not None:
         left, right, bottom, top = rig.board.outline_mm()
         for axis, side_mm in (("x", right - left), ("z", top - bottom)):

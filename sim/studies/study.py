@@ -113,9 +113,8 @@ def run_study(
     if tier == "both":  # refused before anything is run, not after hours
         rendered_design(smallest, {}, study.file.precision.rendered)
     if (output / RUNS).exists() and not options.resume:
-        raise InputError(
-            "holds runs of a study", where=output / RUNS, allowed="--resume, or another folder"
-        )
+        what = "holds runs of a study"
+        raise InputError(what, where=output / RUNS, allowed="--resume, or another folder")
     documents = study.document, study.calibrate.document, study.scan.document
     source = RigSource("rendered" if tier == "rendered" else "geometric", *documents, b"", "")
     require_same_document(output / RUNS, by_content(source.stated))

@@ -218,12 +218,8 @@ class PolynomialSolver(MapSolver[Polynomial]):
         solved = super().restore(variant, parameters)
         shape = (2, TERMS[int(variant) - 1])
         if solved.coefficients.shape != shape:
-            raise InputError(
-                "bad shape",
-                where="parameters.coefficients",
-                value=solved.coefficients.shape,
-                allowed=shape,
-            )
+            what, where = "bad shape", "parameters.coefficients"
+            raise InputError(what, where=where, value=solved.coefficients.shape, allowed=shape)
         return solved
 
 

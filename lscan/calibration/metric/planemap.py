@@ -215,12 +215,10 @@ class MetricSolver(MapSolver[Metric]):
         InputError
             Always; it says how a metric map is solved.
         """
-        raise InputError(
-            "a metric map is solved from pictures of a board in several poses",
-            where="plane map",
-            value=full_name("metric", variant),
-            allowed="lscan calibrate-metric VIEWS.toml -o FILE",
-        )
+        what = "a metric map is solved from pictures of a board in several poses"
+        where = "plane map"
+        allowed = "lscan calibrate-metric VIEWS.toml -o FILE"
+        raise InputError(what, where=where, value=full_name("metric", variant), allowed=allowed)
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> NoReturn:
         """Refuse: one picture of the board does not hold what a metric map needs.

@@ -297,12 +297,8 @@ def read_views(
         own = (picture.shape[1], picture.shape[0])
         size = size or own
         if own != size:
-            raise InputError(
-                "is not of the first picture's size",
-                where=path,
-                value=own,
-                allowed=f"{size[0]} x {size[1]} px",
-            )
+            what = "is not of the first picture's size"
+            raise InputError(what, where=path, value=own, allowed=f"{size[0]} x {size[1]} px")
         return picture
 
     for entry in views.document.view:

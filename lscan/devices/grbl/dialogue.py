@@ -227,9 +227,8 @@ class Dialogue(Exchange[Message]):
         message = self.read(deadline_s)
         if isinstance(message, Alarm):
             self.lost = True
-            raise DeviceError(
-                f"{self.link.name}: {in_words('ALARM', message.code)}; {self.alarm_remedy()}"
-            )
+            what = f"{self.link.name}: {in_words('ALARM', message.code)}; {self.alarm_remedy()}"
+            raise DeviceError(what)
         if isinstance(message, Banner):
             raise self.restarted()
         return message

@@ -328,12 +328,10 @@ class OpencvCameraDriver:
         """
         options = self._options(rig_file)
         if rig_file.rig.plan.paired and not options.live:
-            raise InputError(
-                "a video file does not see the laser being switched",
-                where=f"{rig_file.source}: plan.laser",
-                value=rig_file.rig.plan.laser,
-                allowed="untouched, on; or a camera.options.device or url",
-            )
+            what = "a video file does not see the laser being switched"
+            where = f"{rig_file.source}: plan.laser"
+            allowed = "untouched, on; or a camera.options.device or url"
+            raise InputError(what, where=where, value=rig_file.rig.plan.laser, allowed=allowed)
 
     def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """Where its pictures come from, and whether its exposure can be set."""
@@ -349,12 +347,9 @@ class OpencvCameraDriver:
         section, where = rig_file.rig.camera, rig_file.source
         options = check(OpencvOptions, section.options, where=where, prefix="camera.options")
         if options.file is not None and not os.path.isfile(options.file):  # noqa: PTH113
-            raise InputError(
-                "camera.options.file: no such file",
-                where=where,
-                value=options.file,
-                allowed="a video, its path counted from the rig file's folder",
-            )
+            what = "camera.options.file: no such file"
+            allowed = "a video, its path counted from the rig file's folder"
+            raise InputError(what, where=where, value=options.file, allowed=allowed)
         return options
 
 

@@ -415,7 +415,6 @@ def _chosen(key: str, globs: Globs, names: list[str]) -> tuple[str, ...]:
     """The names that one of the patterns fits, in the catalogue's order."""
     for pattern in globs:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise InputError(
-                f"{key}: is no part's name or pattern", value=pattern, allowed=", ".join(names)
-            )
+            what = f"{key}: is no part's name or pattern"
+            raise InputError(what, value=pattern, allowed=", ".join(names))
     return tuple(name for name in names if any(fnmatchcase(name, glob) for glob in globs))

@@ -212,10 +212,8 @@ def _geometry(design: RigDesign, tank: TankSections) -> Document:
     """Where camera and laser stand; the camera turns and moves about the place it aims at."""
     head, numbers, aim = tank.head, design.numbers, aim_mm(tank.head)
     if {STAND_OFF, BASELINE, DEPRESSION} <= numbers.keys():
-        raise InputError(
-            f"{STAND_OFF}, {BASELINE} and {DEPRESSION}: two of them give the third",
-            allowed="two of them",
-        )
+        what = f"{STAND_OFF}, {BASELINE} and {DEPRESSION}: two of them give the third"
+        raise InputError(what, allowed="two of them")
     old = camera_pose(head)
     level = old.rotation[1, 2] / cos(radians(head.depression_deg))  # of the axis, towards y
     depression = numbers.get(DEPRESSION, head.depression_deg)

@@ -248,11 +248,8 @@ class _Kept:
     def _read(self, file: Path) -> None:
         content = read_json(file)
         if not isinstance(content, dict) or content.get("of") != self.of:
-            raise InputError(
-                "holds trials of another search",
-                where=file,
-                allowed="a file of the same design, catalogue and scene, or none",
-            )
+            allowed = "a file of the same design, catalogue and scene, or none"
+            raise InputError("holds trials of another search", where=file, allowed=allowed)
         for row in content["trials"]:
             figures = DesignFigures(**row["figures"]) if row["figures"] else None
             self._add(RigTrial(row["number"], row["parameters"], figures, row["reason"]))

@@ -171,9 +171,8 @@ def prepare(study: Study, progress: Progress | None = None) -> Prepared:
     known = np.isfinite(line) & np.isfinite(sensor) & np.isfinite(speckle)
     known &= on_board(study, reading, places)
     if known.sum() < np.count_nonzero(~known):
-        raise MeasurementError(
-            f"{study.scan.source}: the line is found at {known.sum()} of {len(known)} places"
-        )
+        what = f"{study.scan.source}: the line is found at {known.sum()} of {len(known)} places"
+        raise MeasurementError(what)
     is_corrected = study.scan.rig.sheet is not None
     return Prepared(
         places=select(places, known),
