@@ -369,12 +369,9 @@ def camera_options(scene: Scene) -> CameraOptions:
         raise InputError(what, where=scene.source, allowed="camera.options.auto_exposure = false")
     black_dn = 255 * (sensor.black_level_dn / 255) ** (1 / sensor.gamma)
     if options.auto_exposure and options.target_dn <= black_dn:
-        raise InputError(
-            "camera.options.target_dn: is no brighter than black",
-            where=scene.source,
-            value=options.target_dn,
-            allowed=f"above {black_dn:.4g} DN, the sensor's black level behind its gamma",
-        )
+        what = "camera.options.target_dn: is no brighter than black"
+        allowed = f"above {black_dn:.4g} DN, the sensor's black level behind its gamma"
+        raise InputError(what, where=scene.source, value=options.target_dn, allowed=allowed)
     return options
 
 

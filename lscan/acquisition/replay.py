@@ -171,12 +171,10 @@ class ReplayCameraDriver:
             what = "camera.width_px, camera.height_px: not the size of the recorded pictures"
             raise InputError(what, where=rig_file.source, value=asked, allowed=recorded)
         if rig_file.rig.plan.paired and not run.rig_file.rig.plan.paired:
-            raise InputError(
-                f"the run {run.path} was recorded without backgrounds",
-                where=f"{rig_file.source}: plan.laser",
-                value=rig_file.rig.plan.laser,
-                allowed="untouched, on",
-            )
+            what = f"the run {run.path} was recorded without backgrounds"
+            where = f"{rig_file.source}: plan.laser"
+            allowed = "untouched, on"
+            raise InputError(what, where=where, value=rig_file.rig.plan.laser, allowed=allowed)
         return run
 
 

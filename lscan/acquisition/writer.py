@@ -151,9 +151,8 @@ class RunWriter:
         if not self._held:
             raise InputError("cannot be written: the writer is closed", where=self.path)
         if frame.index != self.written or frame.index >= self.planned:
-            raise InputError(
-                "frame out of order", where=self.path, value=frame.index, allowed=self.written
-            )
+            what = "frame out of order"
+            raise InputError(what, where=self.path, value=frame.index, allowed=self.written)
         self._require_alike(frame)
         if (frame.background is not None) != self.rig_file.rig.plan.paired:
             what = "a frame of a paired run needs a background, any other has none"

@@ -227,11 +227,9 @@ def require_same_camera(
     document = views.document
     for key, known in (("optics", camera.optics), ("k3", camera.k3)):
         if key in document.model_fields_set and getattr(document, key) != known:
-            raise InputError(
-                "differs from what the camera was calibrated with",
-                where=f"{views.path}: {key}",
-                allowed=f"leave it out, or as in {where}",
-            )
+            what = "differs from what the camera was calibrated with"
+            allowed = f"leave it out, or as in {where}"
+            raise InputError(what, where=f"{views.path}: {key}", allowed=allowed)
 
 
 # What the files hold: the records, their arrays as lists and ``null`` for NaN.

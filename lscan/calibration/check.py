@@ -324,16 +324,12 @@ def require_comparable(
         allowed = f"{size[0]} x {size[1]} px"
         raise InputError(what, where="image size", value=tuple(reading.image_size), allowed=allowed)
     if placed_mm is not None and not 0 <= placed_mm < np.inf:
-        raise InputError(
-            "bad uncertainty", where="placed_mm", value=placed_mm, allowed="0 mm or more"
-        )
+        what = "bad uncertainty"
+        raise InputError(what, where="placed_mm", value=placed_mm, allowed="0 mm or more")
     if placed_mm is not None and not isinstance(calibration, Calibration):
-        raise InputError(
-            "the frame of a metric calibration is not the board's: its shift cannot be judged",
-            where="placed_mm",
-            value=placed_mm,
-            allowed="a calibration from one picture of the board",
-        )
+        what = "the frame of a metric calibration is not the board's: its shift cannot be judged"
+        allowed = "a calibration from one picture of the board"
+        raise InputError(what, where="placed_mm", value=placed_mm, allowed=allowed)
 
 
 def _named_marks(reading: BoardReading) -> tuple[np.ndarray, Floats, Floats, Floats]:

@@ -382,11 +382,9 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
     """
     own = {key: value for key, value in document.items() if key in Rig.model_fields}
     if not {"camera", "track"} & own.keys():
-        raise InputError(
-            "is no rig: it has neither [camera] nor [track]",
-            where=source,
-            allowed="a rig file, or a scene; `lscan scenes` lists those that come with lscan",
-        )
+        what = "is no rig: it has neither [camera] nor [track]"
+        allowed = "a rig file, or a scene; `lscan scenes` lists those that come with lscan"
+        raise InputError(what, where=source, allowed=allowed)
     rig = check(Rig, own, where=source)
     if not trusted and len(own) < len(document):
         known = set(Rig.model_fields).union(*(one.sections for one in drivers_of(rig, source)))
@@ -408,11 +406,8 @@ def _check_shaft(rig: Rig, source: str) -> None:
         what = "plan: turns the head by more than a full turn about [shaft]"
         raise InputError(what, where=source, value=f"{turn_deg:g} deg", allowed="360 deg or less")
     if rig.sheet is not None:
-        raise InputError(
-            "sheet: its thickness is corrected for on a linear track only",
-            where=source,
-            allowed="[sheet] or [shaft], not both",
-        )
+        what = "sheet: its thickness is corrected for on a linear track only"
+        raise InputError(what, where=source, allowed="[sheet] or [shaft], not both")
 
 
 def inline_board(document: Document, source: str) -> Document:

@@ -266,12 +266,9 @@ def _check_target(scene: Scene) -> None:
         for axis, side_mm in (("x", right - left), ("z", top - bottom)):
             bend_mm = getattr(scene.tank.board_errors, f"bend_{axis}_mm")
             if STEEPEST * abs(bend_mm) > side_mm:
-                raise InputError(
-                    f"board_errors.bend_{axis}_mm: too much for this board",
-                    where=scene.source,
-                    value=bend_mm,
-                    allowed=f"at most {side_mm / STEEPEST:g} either way",
-                )
+                what = f"board_errors.bend_{axis}_mm: too much for this board"
+                allowed = f"at most {side_mm / STEEPEST:g} either way"
+                raise InputError(what, where=scene.source, value=bend_mm, allowed=allowed)
 
 
 def check_lens(scene: Scene) -> None:

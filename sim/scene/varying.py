@@ -259,11 +259,8 @@ def check_changes(scene: "Scene") -> None:
         for offset in change.reach:
             with_offsets(scene, [(change, offset)], f"{scene.source}, [[change]] of {change.key}")
         if change.key == "light.ambient_w_m2_sr" and scene.tank.light.ambient_w_m2_sr == 0:
-            raise InputError(
-                f"change: {change.key} is 0, no light is there to change",
-                where=scene.source,
-                allowed="above 0",
-            )
+            what = f"change: {change.key} is 0, no light is there to change"
+            raise InputError(what, where=scene.source, allowed="above 0")
 
 
 def with_offsets(scene: "Scene", offsets: Iterable[tuple[Change, float]], where: str) -> "Scene":
