@@ -4,24 +4,13 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from lscan import pipeline
 from lscan.acquisition.run import Run, Versions, software_versions
 from lscan.board import read_board
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.rig import Rig
 from lscan.errors import InputError, LscanError
 from lscan.paper.published import CHOSEN_MAP
-from lscan.pipeline import (
-    BoardMeasures,
-    GrooveMeasures,
-    SandwaveMeasures,
-    board_expected,
-    mean_picture,
-    measure_groove,
-    measure_reading,
-    measure_sandwave,
-    require_board,
-    require_size,
-)
 from lscan.records import BoardReading, Bytes, Progress, Stripe
 from lscan.stripe import extract_stripe
 
@@ -93,7 +82,7 @@ class BoardResult:
     image: Bytes
     reading: BoardReading
     calibrations: Mapping[str, Calibration]
-    measures: Mapping[str, BoardMeasures]
+    measures: Mapping[str, pipeline.BoardMeasures]
 
 
 @dataclass(frozen=True)
@@ -183,8 +172,8 @@ class Experiment:
     scene: str
     chain: Chain
     board: BoardResult
-    groove: GrooveMeasures | None = None
-    sandwave: SandwaveMeasures | None = None
+    groove: pipeline.GrooveMeasures | None = None
+    sandwave: pipeline.SandwaveMeasures | None = None
     sources: Mapping[str, PictureSource] = field(default_factory=dict)
     shown: Mapping[str, LinePictures] = field(default_factory=dict)
     best: "Experiment | None" = None
@@ -224,13 +213,13 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
     Sec. IV.A and Tables I and II of the paper.
     """
     rig = run.rig_file.rig
-    board = require_board(run.rig_file)
-    image = mean_picture(run)
-    with board_expected(run):
+    board = pipeline.require_board(run.rig_file)
+    image = pipeline.mean_picture(run)
+    with pipeline.board_expected(run):
         reading = read_board(image, board, channel=rig.calibration.channel)
     calibrations = {name: calibrate(reading, name, rig.optics) for name in methods}
     measures = {
-        name: measure_reading(reading, board, calibration.plane_map)
+        name: pipeline.measure_reading(reading, board, calibration.plane_map)
         for name, calibration in calibrations.items()
     }
     return BoardResult(image, reading, calibrations, measures)
@@ -422,15 +411,19 @@ def _measure(
     others = {part: run for part, run in runs.items() if part != "board"}
     for run in others.values():
         size_px = board.reading.image_size
-        require_size(run.rig_file.rig.camera, size_px, f"from {runs['board'].path}", run.path)
+        pipeline.require_size(
+            run.rig_file.rig.camera, size_px, f"from {runs['board'].path}", run.path
+        )
     plane_map = board.calibrations[chosen].plane_map
     groove, sandwave = others.get("groove"), others.get("sandwave")
     return Experiment(
         scene=runs[max(runs)].rig_file.rig.name,  # the sandwave's, else the groove's
         chain=_chain(chosen, [run.rig_file.rig for run in others.values()]),
         board=board,
-        groove=None if groove is None else measure_groove(groove, plane_map),
-        sandwave=None if sandwave is None else measure_sandwave(sandwave, plane_map, progress),
+        groove=None if groove is None else pipeline.measure_groove(groove, plane_map),
+        sandwave=None
+        if sandwave is None
+        else pipeline.measure_sandwave(sandwave, plane_map, progress),
     )
 
 

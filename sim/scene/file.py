@@ -14,19 +14,8 @@ from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats
+from sim.scene import instrument
 from sim.scene.errors import STEEPEST, BoardErrors, TrackErrors, TrueBoard
-from sim.scene.instrument import (
-    Head,
-    Laser,
-    Lens,
-    PlanePort,
-    Port,
-    Seed,
-    Sensor,
-    TrueShaft,
-    is_folded,
-    response_at,
-)
 from sim.scene.matter import AmbientLight, Floor, Target, Water
 from sim.scene.poses import Pose, head_pose, rotation, track_pose
 from sim.scene.varying import Change, check_changes, with_offsets
@@ -53,7 +42,7 @@ class Render(Strict):
     light: Literal["gathered", "sampled"] = "gathered"
     scatter_samples: Annotated[int, Field(ge=0, le=65536)] = 1
     fineness: Annotated[int, Field(ge=1, le=3)] = 1
-    seed: Seed = 1
+    seed: instrument.Seed = 1
 
     @model_validator(mode="after")
     def _square(self) -> Self:
@@ -95,15 +84,15 @@ def _allowed(fineness: int) -> str:
 class TankSections(Strict):
     """The sections of a scene file that a rig file of real hardware does not have."""
 
-    lens: Lens
-    head: Head
-    port: Port = PlanePort()
-    laser: Laser
+    lens: instrument.Lens
+    head: instrument.Head
+    port: instrument.Port = instrument.PlanePort()
+    laser: instrument.Laser
     water: Water = Water()
     light: AmbientLight = AmbientLight()
     target: Target
     floor: Floor | None = None
-    sensor: Sensor = Sensor()
+    sensor: instrument.Sensor = instrument.Sensor()
     render: Render = Render()
     board_errors: BoardErrors = BoardErrors()
     track_errors: TrackErrors = TrackErrors()
@@ -229,7 +218,7 @@ def scene_of(rig_file: RigFile) -> Scene:
     return scene
 
 
-def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
+def _on_its_shaft(head: instrument.Head, rig_file: RigFile) -> instrument.Head:
     """The head with the shaft it truly turns about, where the rig has one: else the rig's own."""
     stated, source = rig_file.rig.shaft, rig_file.source
     if stated is None:
@@ -240,17 +229,17 @@ def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
     if head.speed_mm_s != 0:
         what = "head.speed_mm_s: a head on a shaft stands still while a picture is taken"
         raise InputError(what, where=source, value=head.speed_mm_s, allowed="0")
-    true = head.shaft or TrueShaft(point_mm=stated.point_mm, direction=stated.direction)
+    true = head.shaft or instrument.TrueShaft(point_mm=stated.point_mm, direction=stated.direction)
     if true.arc_radius_mm is None:
         true = true.model_copy(update={"arc_radius_mm": stated.arc_radius_mm})
     return head.model_copy(update={"shaft": true})
 
 
-def _sensor_at_wavelength(tank: TankSections) -> Sensor:
+def _sensor_at_wavelength(tank: TankSections) -> instrument.Sensor:
     """The sensor, with a webcam's response to the laser's wavelength where the file states none."""
     if "laser_response" in tank.sensor.model_fields_set:
         return tank.sensor
-    response = response_at(tank.laser.wavelength_nm)
+    response = instrument.response_at(tank.laser.wavelength_nm)
     return tank.sensor.model_copy(update={"laser_response": response})
 
 
@@ -274,7 +263,7 @@ def _check_target(scene: Scene) -> None:
 def check_lens(scene: Scene) -> None:
     """Refuse a distortion that folds within the picture: what is there would be seen twice."""
     lens, camera = scene.tank.lens, scene.rig.camera
-    if is_folded(lens, camera.width_px, camera.height_px):
+    if instrument.is_folded(lens, camera.width_px, camera.height_px):
         raise InputError(
             "lens: the distortion folds the picture before its corners",
             where=scene.source,
