@@ -92,7 +92,7 @@ def _declared_command(place: str) -> Callable[..., None]:
     declared = makers[function]
     assert isinstance(declared, ast.FunctionDef)
     del declared.body[1:]  # leaves the docstring
-    needed, left = set[ast.stmt](), [declared]
+    needed, left = set[ast.stmt](), list[ast.stmt]([declared])
     while left:
         needed.add(part := left.pop())
         named = {makers.get(node.id) for node in ast.walk(part) if isinstance(node, ast.Name)}
