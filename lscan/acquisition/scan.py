@@ -143,8 +143,7 @@ def open_track(rig_file: RigFile) -> Track:
         As ``open_devices``.
     """
     _, driver = drivers_of(rig_file.rig, rig_file.source)
-    track: Track = driver.open(rig_file)
-    return track
+    return driver.open(rig_file)
 
 
 def open_camera(rig_file: RigFile, track: Track) -> Camera:

@@ -224,8 +224,7 @@ def normal_score(z: Floats) -> Floats:
     American Statistical Association 102 (2007), section 4.2.
     """
     density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    scores: Floats = z * erf(z / np.sqrt(2)) + 2 * density - 1 / np.sqrt(np.pi)
-    return scores
+    return z * erf(z / np.sqrt(2)) + 2 * density - 1 / np.sqrt(np.pi)
 
 
 def reference_seconds() -> float:

@@ -183,8 +183,7 @@ class NamedSolver:
             As ``solve``.
         """
         quick = getattr(self.solver, "bare", self.solver.solve)
-        solved: PlaneMap = quick(reading, self.variant, optics or NOTHING_KNOWN)
-        return solved
+        return quick(reading, self.variant, optics or NOTHING_KNOWN)
 
     def restore(self, parameters: dict[str, Any]) -> PlaneMap:
         """The map of this name that parameters came from.
@@ -426,8 +425,7 @@ class SolvedMap(Strict, ABC):
 
     def parameters(self) -> dict[str, Any]:
         """The fields as JSON types."""
-        dumped: dict[str, Any] = self.model_dump(mode="json")
-        return dumped
+        return self.model_dump(mode="json")
 
 
 Solved = TypeVar("Solved", bound=SolvedMap)

@@ -313,8 +313,7 @@ def _cells(xyz: Floats) -> Ints:
     plan = xyz[:, :2] - xyz[:, :2].min(axis=0)
     side = max(float(plan.max()) / CELLS_ACROSS, np.finfo(float).tiny)
     place = np.minimum(plan / side, CELLS_ACROSS - 1).astype(np.int64)
-    number: Ints = np.unique(place @ [CELLS_ACROSS, 1], return_inverse=True)[1]
-    return number
+    return np.unique(place @ [CELLS_ACROSS, 1], return_inverse=True)[1]
 
 
 def _excess(weighted: Floats, ratio: Floats, inverse: Floats, cell: Ints) -> float:
@@ -359,8 +358,7 @@ def tangents(direction: Floats) -> Floats:
 
 
 def _unit(vector: Floats) -> Floats:
-    unit: Floats = vector / np.linalg.norm(vector)
-    return unit
+    return vector / np.linalg.norm(vector)
 
 
 @dataclass(frozen=True)

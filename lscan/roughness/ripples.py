@@ -232,8 +232,7 @@ def _periodogram(patch: Patch) -> Floats:
     z_cm = detrend(patch)
     taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z_cm.shape))
     shape = [PADDING * count for count in z_cm.shape]
-    power: Floats = np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2
-    return power
+    return np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2
 
 
 @dataclass(frozen=True)
@@ -259,8 +258,7 @@ class _Peak:
         known, rim = self.far <= AROUND**2, (self.far > 1) & (self.far <= AROUND**2)
         law = np.hypot(1 + self.along, self.across, where=known, out=np.ones(known.shape)) ** -STEEP
         # The median of an exponential distribution is ln 2 of its mean.
-        level: Floats = law * (np.median(power[rim] / law[rim]) / np.log(2))
-        return level
+        return law * (np.median(power[rim] / law[rim]) / np.log(2))
 
     def variances(self, power: Floats) -> Floats:
         """(2,) along the heading and across it, about the middle of ``power`` in the ellipse."""
@@ -268,5 +266,4 @@ class _Peak:
         weight = power[inside] / max(float(power[inside].sum()), np.finfo(float).tiny)
         places = np.stack([self.along[inside], self.across[inside]])
         middle = (places @ weight)[:, None]
-        found: Floats = (places - middle) ** 2 @ weight
-        return found
+        return (places - middle) ** 2 @ weight

@@ -183,8 +183,7 @@ def _lit_and_seen(scene: Scene, board: Board, poses: Poses) -> Mask:
 def _cosine(first: Floats, second: Floats) -> Floats:
     """(K,) of the angles between vectors (K, 3)."""
     lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
-    cosine: Floats = (first * second).sum(axis=1) / lengths
-    return cosine
+    return (first * second).sum(axis=1) / lengths
 
 
 def _across_axis(scene: Scene, poses: Poses) -> Mask:
@@ -195,8 +194,7 @@ def _across_axis(scene: Scene, poses: Poses) -> Mask:
     ends = [project(scene, poses.middle_mm + way * along) for way in (-1, 1)]
     du, dv = np.abs(ends[1] - ends[0]).T
     run, rise = (du, dv) if scene.rig.stripe.axis == "columns" else (dv, du)
-    gentle: Mask = rise <= STEEPEST * run
-    return gentle
+    return rise <= STEEPEST * run
 
 
 def _in_picture(scene: Scene, board: Board, poses: Poses) -> Mask:

@@ -401,8 +401,7 @@ def errors_in(runs: StudyRuns, name: str, block: str) -> Floats:
     name : str, of the output
     block : str
     """
-    errors: Floats = runs.values[_chosen(runs, block), columns(runs.outputs)[name]]
-    return errors
+    return runs.values[_chosen(runs, block), columns(runs.outputs)[name]]
 
 
 def _chosen(runs: StudyRuns, block: str) -> Mask:

@@ -98,8 +98,7 @@ def _margin(scene: Scene, line_mm: Floats) -> Floats:
     within = np.minimum(pixels + 0.5, size - 0.5 - pixels) / size
     half = np.radians(scene.tank.laser.fan_half_angle_deg)
     lit = (half - np.abs(fan_angle(scene.tank.laser, line_mm))) / half
-    margin: Floats = np.minimum(within.min(axis=1), lit)
-    return margin
+    return np.minimum(within.min(axis=1), lit)
 
 
 # A rig of chosen parts in chosen places, as the document of a scene.
