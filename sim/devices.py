@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
@@ -123,8 +122,7 @@ class TankCamera:
             webcam = webcam.taking(at.scene)
         layers, exposure_ms = metered(at.scene, self._tank, webcam, at.position_mm, time_s=time_s)
         if dark or not lit:
-            none = np.zeros_like(layers.ambient)
-            layers = replace(layers, direct=none, scattered=none)
+            layers = layers.without_laser()
         nanometres, stream = round(position_mm * 1e6), _DARK if dark else _LIT
         place = abs(nanometres), int(nanometres < 0)
         seed = [self._scene.tank.sensor.seed, stream, *place, index]
@@ -267,6 +265,24 @@ def metered(
     return layers, exposure_ms
 
 
+def take_picture(
+    scene: Scene, tank: Tank, position_mm: float, samples: int | None = None
+) -> tuple[Bytes, Layers, float]:
+    """A picture by itself, (H, W, 3) uint8 RGB, its layers of light, and its exposure in ms.
+
+    Parameters
+    ----------
+    scene, tank, position_mm, samples
+        As of ``metered``.
+    """
+    from sim.sensor import Webcam
+
+    webcam = Webcam(scene)
+    layers, exposure_ms = metered(scene, tank, webcam, position_mm, samples)
+    generator = np.random.default_rng([scene.tank.sensor.seed, 1])
+    return webcam.expose(layers, exposure_ms, generator), layers, exposure_ms
+
+
 def exposure_of(scene: Scene, webcam: Webcam, layers: Layers, *, time_s: float = 0.0) -> float:
     """The exposure, ms, of a picture of that light: the rig's, or what auto exposure asks for.
 
@@ -320,13 +336,10 @@ def render_picture(
     (480, 640, 3)
     """
     from sim.render.tank import Tank
-    from sim.sensor import Webcam
 
     place = scene.rig.plan.start_mm if position_mm is None else position_mm
     at = at_moment(scene, 0, place)
-    webcam = Webcam(at.scene)
-    layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
-    return webcam.expose(layers, exposure_ms, np.random.default_rng([scene.tank.sensor.seed, 1]))
+    return take_picture(at.scene, Tank(scene), at.position_mm, samples)[0]
 
 
 def load_checked(path: Path | str) -> Scene:

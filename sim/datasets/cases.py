@@ -120,13 +120,11 @@ def line_case(
     """
     picture, exposure_ms = _exposed(scene, layers, 1)
     shown = truths if scene.tank.laser.on else ()
-    none = np.zeros_like(layers.ambient)
-    unlit = replace(layers, direct=none, scattered=none)
     return SuiteCase(
         name,
         axes,
         picture,
-        _exposed(scene, unlit, 2, exposure_ms=exposure_ms)[0] if pair else None,
+        _exposed(scene, layers.without_laser(), 2, exposure_ms=exposure_ms)[0] if pair else None,
         label_scene(scene, scene.rig.plan.start_mm, layers, shown, exposure_ms),
         _truth_of(scene, truths, exposure_ms),
         scene.rig.stripe,

@@ -223,14 +223,11 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
     scene : Scene, of the picture
     drawn : mapping, its numbers; that of POSITION says where the head stands
     """
-    from sim.devices import metered
+    from sim.devices import take_picture
     from sim.render.tank import surfaces_seen
-    from sim.sensor import Webcam
 
     at = at_moment(scene, 0, drawn[POSITION])
-    webcam = Webcam(at.scene)
-    layers, exposure_ms = metered(at.scene, tank, webcam, at.position_mm)
-    image = webcam.expose(layers, exposure_ms, np.random.default_rng([scene.tank.sensor.seed, 1]))
+    image, layers, exposure_ms = take_picture(at.scene, tank, at.position_mm)
     truths = lit_truths(at.scene, at.position_mm)
     labels = label_scene(at.scene, at.position_mm, layers, truths, exposure_ms)
     step = one_step_w_m2_sr(at.scene)

@@ -59,9 +59,8 @@ def write_render(
         Where position or samples are out of range, or the disk refuses.
     """
     from sim.datasets.labels import check_sampling, colour_labels, label_scene
-    from sim.devices import metered
+    from sim.devices import take_picture
     from sim.render.tank import Tank
-    from sim.sensor import Webcam
 
     _check_place(position_mm)
     if samples is not None:
@@ -69,10 +68,7 @@ def write_render(
     at = at_moment(scene, 0, position_mm)
     if samples is not None:
         check_sampling(at.scene, at.position_mm, samples, where="--samples")
-    webcam = Webcam(at.scene)
-    layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
-    generator = np.random.default_rng([scene.tank.sensor.seed, 1])
-    image = webcam.expose(layers, exposure_ms, generator)
+    image, layers, exposure_ms = take_picture(at.scene, Tank(scene), at.position_mm, samples)
     make_folder(folder)
     files = {
         "picture": folder / "picture.png",

@@ -1,6 +1,6 @@
 """Pictures of a board held into the laser sheet in many poses: what the metric route is fed."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -97,12 +97,8 @@ def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Bytes, Byt
 
     webcam = Webcam(scene)
     layers, exposure_ms = metered(scene, Tank(scene), webcam, 0.0)
-    nothing = np.zeros_like(layers.ambient)
-    lamps = replace(layers, direct=nothing, scattered=nothing)
-    return (
-        webcam.expose(lamps, exposure_ms, generator),
-        webcam.expose(layers, exposure_ms, generator),
-    )
+    dark = webcam.expose(layers.without_laser(), exposure_ms, generator)
+    return dark, webcam.expose(layers, exposure_ms, generator)
 
 
 def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:

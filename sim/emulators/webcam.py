@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from http.server import BaseHTTPRequestHandler
 from socketserver import ThreadingTCPServer
@@ -76,9 +76,7 @@ class Places:
         lit = self._webcam.still(layers, self._exposure_ms)
         if not self._switched:
             return lit, lit
-        none = np.zeros_like(layers.direct)
-        dark = replace(layers, direct=none, scattered=none)
-        return lit, self._webcam.still(dark, self._exposure_ms)
+        return lit, self._webcam.still(layers.without_laser(), self._exposure_ms)
 
 
 class PassedPicture:

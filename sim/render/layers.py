@@ -114,6 +114,11 @@ class Layers:
         """Direct and scattered light together."""
         return self.direct + self.scattered
 
+    def without_laser(self) -> "Layers":
+        """The ambient light alone."""
+        none = np.zeros_like(self.ambient)
+        return Layers(none, none, self.ambient)
+
     def binned(self, shape: tuple[int, int]) -> "Layers":
         """The layers of whole pixels: the means over the parts of each.
 
