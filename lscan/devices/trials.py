@@ -241,9 +241,7 @@ class CameraTrial:
     @property
     def noise_section(self) -> str | None:
         """The ``[stripe.noise]`` section of a rig file; None where the noise is in doubt."""
-        if self.transfer is None or self.doubts:
-            return None
-        return noise_section(self.transfer)
+        return None if self.transfer is None or self.doubts else noise_section(self.transfer)
 
 
 def grab_series(

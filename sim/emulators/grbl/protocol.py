@@ -176,9 +176,7 @@ class Modes:
 
     def feed_of(self, block: GcodeBlock) -> float:
         """The block's feed in mm/min, the modal one where it has none."""
-        if "F" in block.words:
-            return block.words["F"] * self.unit_mm(block)
-        return self.feed_mm_min
+        return block.words["F"] * self.unit_mm(block) if "F" in block.words else self.feed_mm_min
 
     @property
     def rate_mm_min(self) -> float:
