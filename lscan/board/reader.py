@@ -289,9 +289,5 @@ def _grid_marks(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, grid: Gr
     map_there = mapping.expanded(board)
     radius = map_there.scale * grid.dot_diameter_mm / 2
     in_view = picture.wholly_in_view(map_there.image_px, radius)
-    return Marks(
-        board_mm=board,
-        image_px=nodes.points.reshape(-1, 2),
-        sigma_px=nodes.sigma_px.ravel(),
-        status=mark_status(nodes.found.ravel(), in_view),
-    )
+    image_px, status = nodes.points.reshape(-1, 2), mark_status(nodes.found.ravel(), in_view)
+    return Marks(board_mm=board, image_px=image_px, sigma_px=nodes.sigma_px.ravel(), status=status)

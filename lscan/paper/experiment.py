@@ -450,11 +450,9 @@ def _chain(plane_map: str, rigs: Sequence[Rig]) -> Chain:
         "blur": any(rig.stripe.blur_px is not None for rig in rigs),
         "sheet thickness": any(rig.sheet is not None for rig in rigs),
     }
-    return Chain(
-        plane_map,
-        extractors=tuple(sorted({rig.stripe.extractor for rig in rigs})),
-        corrected_for=tuple(name for name, made in corrections.items() if made),
-    )
+    extractors = tuple(sorted({rig.stripe.extractor for rig in rigs}))
+    corrected_for = tuple(name for name, made in corrections.items() if made)
+    return Chain(plane_map, extractors=extractors, corrected_for=corrected_for)
 
 
 def _best_runs(runs: Mapping[str, Run], best: Mapping[str, Rig] | None) -> dict[str, Run]:

@@ -146,12 +146,10 @@ def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
         asked = sum(len(ruler.marks.status) for ruler in reading.rulers)
         found += f" and {seen} of {asked} marks of {len(reading.rulers)} rulers"
     outside = int((grid.status == Status.OUT_OF_VIEW).sum())
+    sigma = np.median(grid.sigma_px[grid.found])
+    unseen = f" {outside} lie outside the picture." if outside else ""
     return photo_of(
-        "control-points",
-        draw_overlay(image, reading),
-        found=found,
-        sigma=np.median(grid.sigma_px[grid.found]),
-        unseen=f" {outside} lie outside the picture." if outside else "",
+        "control-points", draw_overlay(image, reading), found=found, sigma=sigma, unseen=unseen
     )
 
 

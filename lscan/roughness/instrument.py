@@ -345,12 +345,8 @@ def response_of(rig: Rig, surface: Surface, peak_dn: float | None = None) -> Sca
     down = rig.sheet.camera_mm[2] - float(points[:, 2].mean())
     across = abs(down) / float(np.hypot(down, rig.sheet.camera_mm[1]))
     sheet_px = sigma_mm * across / pixel_mm
-    return replace(
-        along,
-        sheet_cm=sigma_mm / MM_PER_CM,
-        aside=_aside(rig.sheet, points),
-        reading=line_reading(rig.stripe, sheet_px, blur_px, peak_dn),
-    )
+    sheet_cm, reading = sigma_mm / MM_PER_CM, line_reading(rig.stripe, sheet_px, blur_px, peak_dn)
+    return replace(along, sheet_cm=sheet_cm, aside=_aside(rig.sheet, points), reading=reading)
 
 
 def _aside(sheet: SheetSection, points_mm: Floats) -> tuple[float, ...]:

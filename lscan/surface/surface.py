@@ -342,12 +342,9 @@ def _neighbours(surface: Surface, valid: Mask, xy: Floats, radius: float) -> _Ne
     if surface.modes_mm is not None:
         modes = surface.modes_mm[near][index].astype(float)
     common = np.square(modes[..., [0, 2], :]).sum(axis=-1)
+    offset, z_mm = (points[index][..., :2] - xy[:, None]) / radius, points[index][..., 2]
     return _Near(
-        offset=(points[index][..., :2] - xy[:, None]) / radius,
-        z_mm=points[index][..., 2],
-        used=used,
-        own_mm2=np.maximum(total - common, 0.0),
-        modes_mm=modes,
+        offset=offset, z_mm=z_mm, used=used, own_mm2=np.maximum(total - common, 0.0), modes_mm=modes
     )
 
 

@@ -340,11 +340,9 @@ class MjpegServer(ThreadingTCPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer one client in a thread of its own; both are remembered, so that ``close`` can
         break the connection and wait for the thread (socketserver waits for no daemon)."""
+        target, args = self.process_request_thread, (request, client_address)
         thread = threading.Thread(
-            target=self.process_request_thread,
-            args=(request, client_address),
-            name=f"client {client_address[1]}",
-            daemon=True,
+            target=target, args=args, name=f"client {client_address[1]}", daemon=True
         )
         with self._lock:
             self._connections.add(request)

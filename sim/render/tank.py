@@ -228,11 +228,8 @@ class Tank:
             for name, layer in higher.items():
                 first[name] = first[name] + layer
         laser_scale, ambient_scale = self._scales
-        return Layers(
-            direct=first["direct"] * laser_scale,
-            scattered=first["scattered"] * laser_scale,
-            ambient=first["ambient"] * ambient_scale,
-        )
+        direct, scattered = first["direct"] * laser_scale, first["scattered"] * laser_scale
+        return Layers(direct=direct, scattered=scattered, ambient=first["ambient"] * ambient_scale)
 
     def pixel_rays(self, position_mm: float) -> tuple[mi.Ray3f, mi.Float]:
         """The rays in the water through the middles of the pixels, row by row; their weights.

@@ -233,12 +233,8 @@ def _results(
         indices = sobol_indices(*both, found.outputs, values)
         tiers = tier_rows(*both, values, found.outputs)
         every = joined(runs, runs_of(study, *rendered, found.outputs))
-    budgets = budgets_of(
-        runs,
-        indices,
-        seed=study.file.seed,
-        convergence={name: _convergence(found.convergence, name) for name in indices},
-    )
+    convergence = {name: _convergence(found.convergence, name) for name in indices}
+    budgets = budgets_of(runs, indices, seed=study.file.seed, convergence=convergence)
     if rendered is not None:
         budgets = tuple(in_rendered_physics(budget, indices, tiers) for budget in budgets)
     # The files, and the places, of an error map are those of the rig as it ought to be.

@@ -156,12 +156,8 @@ class Metric(PhysicalMap):
         modes = np.column_stack([self.modes, np.zeros(len(self.modes))])
         modes[WATER] = 0.0
         modes[WATER, -1] = sigma
-        return self._with_fields(
-            theta=theta,
-            origin_px=project(camera, self.geometry.place_mm[None])[0],
-            modes=modes,
-            stated_water=known,
-        )
+        origin_px = project(camera, self.geometry.place_mm[None])[0]
+        return self._with_fields(theta=theta, origin_px=origin_px, modes=modes, stated_water=known)
 
     def error_modes(self, image_px: Floats) -> Floats:
         """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.

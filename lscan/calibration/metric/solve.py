@@ -542,11 +542,9 @@ def _with_line(view: FittedView, board: int, plane: LaserPlane) -> FittedView:
     good, far = plane.good[board], plane.distances_mm[board]
     shown = far[good] if good.any() else far[np.isfinite(far)]
     fault = plane.faults.get(board, "")
+    line_rms_mm = float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan
     fitted = replace(
-        view,
-        line_used=not fault,
-        line_points_used=int(good.sum()),
-        line_rms_mm=float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan,
+        view, line_used=not fault, line_points_used=int(good.sum()), line_rms_mm=line_rms_mm
     )
     return _with_reason(fitted, fault)
 

@@ -152,14 +152,8 @@ class StudyRunning:
         self, source: RigSource, store: ResultStore, rows: Floats, *, agreed: bool = False
     ) -> Results:
         """The results of rows.  agreed: they were counted before."""
-        return run_rows(
-            source,
-            rows,
-            store,
-            self.workers,
-            progress=self.progress,
-            at_most=None if agreed else self.options.at_most,
-        )
+        at_most = None if agreed else self.options.at_most
+        return run_rows(source, rows, store, self.workers, progress=self.progress, at_most=at_most)
 
 
 def prepared_of(study: Study, file: Path, say: Callable[[str], None]) -> bytes:
