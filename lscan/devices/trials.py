@@ -347,11 +347,8 @@ def try_camera(
     series, timing = grab_series(camera, pictures, channel, progress)
     levels = grey_levels(series)
     if seen := flicker(series):
-        bands = (
-            "all rows alike"
-            if seen.period_rows is None
-            else f"bands of {seen.period_rows:.0f} rows"
-        )
+        rows = seen.period_rows
+        bands = "all rows alike" if rows is None else f"bands of {rows:.0f} rows"
         remarks.append(
             f"light: it flickers by {100 * seen.share:.1f} % ({bands}), as of a lamp on the mains; "
             "taken out of the noise, not out of the linearity; use a lamp on direct current, or an "

@@ -113,10 +113,8 @@ class Shaft:
         """
         turned = points_mm - self.point_mm
         rotation = self.rotation(position_mm)
-        columns = []
         own = self.axes if axes is None else axes
-        for axis in own:
-            columns.append(np.broadcast_to(axis - rotation @ axis, turned.shape))
+        columns = [np.broadcast_to(axis - rotation @ axis, turned.shape) for axis in own]
         for axis in own:
             about = np.cross(self.direction, axis)
             columns.append(np.cross(about, turned) - np.cross(rotation @ about, turned))

@@ -135,9 +135,7 @@ def _tasks(spec: DatasetSpec, folder: Path, count: int, form: Format) -> list[Sh
 def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -> str:
     """How long the shards will take, from the first few pictures."""
     tried = replace(tasks[0], count=min(TRIED, tasks[0].count))
-    times = [time.perf_counter()]
-    for _ in rendered(tried):
-        times.append(time.perf_counter())
+    times = [time.perf_counter(), *(time.perf_counter() for _ in rendered(tried))]
     picture_s = min(after - before for before, after in pairwise(times))
     tank_s = max(times[1] - times[0] - picture_s, 0.0)
     count = sum(task.count for task in tasks)
