@@ -32,7 +32,7 @@ def study(
     json: Json = False,
 ) -> None:
     """Find where the error of a rig comes from: a budget, cause by cause, with intervals."""
-    from sim.studies.run.running import StudyOptions  # loads Mitsuba
+    from sim.studies.running import StudyOptions  # loads Mitsuba
     from sim.studies.study import run_study
 
     how = worker_processes(workers, processes)

@@ -29,7 +29,7 @@ from sim.datasets.datasetshards import (
 )
 from sim.datasets.datasetspec import DatasetSpec
 from sim.datasets.labels import CORE, Label
-from sim.studies.run.executor import in_order, keep_identity, locked_folder, open_workers
+from sim.studies.executor import in_order, keep_identity, locked_folder, open_workers
 
 IDENTITY = "identity.json"
 TRIED = 3  # pictures that the estimate is made from; the first may compile

@@ -26,7 +26,7 @@ from lscan.version import __version__
 from sim.datasets.cases import board_case, line_case, line_truths, turned_case
 from sim.scene import Scene, scene_of
 from sim.scene.instrument import Seed
-from sim.studies.run.executor import in_order, keep_identity, locked_folder, open_workers
+from sim.studies.executor import in_order, keep_identity, locked_folder, open_workers
 
 # What a suite is rendered from: a spec file, and the cases that cover its values pair by pair.
 

@@ -17,7 +17,7 @@ from sim.studies.budget import CauseFacts, StudyResults, StudyRuns
 from sim.studies.page import render_page
 from sim.studies.problem import AGAIN, ALL, Design, Output, columns
 from sim.studies.rig.states import correlated, share_of
-from sim.studies.run.store import Results
+from sim.studies.store import Results
 from sim.studies.studyfile import Cause, Study
 
 RESULTS, RUNS, PAGE = "results.json", "runs.nc", "report.html"

@@ -30,14 +30,14 @@ from sim.studies.problem import BASE, Design, Output, alone, columns, make_desig
 from sim.studies.results import joined, runs_of, write_results
 from sim.studies.rig.prepared import Prepared
 from sim.studies.rig.states import check_keys
-from sim.studies.run.running import (
+from sim.studies.running import (
     RigSource,
     StudyOptions,
     StudyRunning,
     prepared_of,
     require_at_most,
 )
-from sim.studies.run.store import (
+from sim.studies.store import (
     Results,
     ResultStore,
     distinct_rows,

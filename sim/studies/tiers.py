@@ -37,7 +37,7 @@ from sim.studies.problem import (
     mixed,
 )
 from sim.studies.rig.states import SEEDED
-from sim.studies.run.store import OK, Results
+from sim.studies.store import OK, Results
 from sim.studies.studyfile import Bound, Cause, StudyFile
 
 LARGE = 0.02  # share of the mean square from which on a cause is compared by itself

@@ -28,8 +28,8 @@ from lscan.errors import DiskError, InputError, LscanError
 from lscan.files.disk import disk_errors
 from lscan.records import Floats
 from lscan.version import __version__
+from sim.studies.executor import keep_identity, locked_folder, read_identity, require_same
 from sim.studies.problem import Output, StudyProblem, width
-from sim.studies.run.executor import keep_identity, locked_folder, read_identity, require_same
 
 MANIFEST = "manifest.json"
 RECORDS, FORMER = "results.db", "results.bin"

@@ -20,10 +20,10 @@ from lscan.files.disk import read_bytes, write_atomically
 from lscan.records import Floats, Progress
 from lscan.version import __version__
 from sim.scene import Scene, scene_of
+from sim.studies.executor import KILLED, THIS_PROCESS, Workers, calls_done, open_workers
 from sim.studies.rig.evaluation import GeometricRig, RenderedRig
 from sim.studies.rig.prepared import MOST_PREPARED_BYTES, Prepared, prepare
-from sim.studies.run.executor import KILLED, THIS_PROCESS, Workers, calls_done, open_workers
-from sim.studies.run.store import (
+from sim.studies.store import (
     Batch,
     ProblemSource,
     Results,
