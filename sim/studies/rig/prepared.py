@@ -129,13 +129,8 @@ class Prepared:
 
 
 _NUMBERS = (
-    "marks_bias_px",
-    "marks_sigma_px",
-    "line_bias_px",
-    "corrected_px",
-    "sensor_px",
-    "speckle_px",
-)
+    "marks_bias_px", "marks_sigma_px", "line_bias_px", "corrected_px", "sensor_px", "speckle_px",
+)  # fmt: skip
 
 
 def prepare(study: Study, progress: Progress | None = None) -> Prepared:
