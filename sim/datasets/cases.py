@@ -37,8 +37,7 @@ def _exposed(
     stream: of the noise, beside the sensor's seed.  exposure_ms: None: as the scene says.
     """
     webcam = Webcam(scene)
-    if exposure_ms is None:
-        exposure_ms = exposure_of(scene, webcam, layers)
+    exposure_ms = exposure_of(scene, webcam, layers) if exposure_ms is None else exposure_ms
     rng = np.random.default_rng([scene.tank.sensor.seed, *stream])
     return webcam.expose(layers, exposure_ms, rng), exposure_ms
 

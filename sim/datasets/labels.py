@@ -58,8 +58,7 @@ def label_scene(
     laser; of none where it is off; found anew if None.  exposure_ms: of the picture; the rig's if
     None.  Raises InputError as ``label_picture`` and ``stripe_truth``.
     """
-    if truths is None:
-        truths = lit_truths(scene, position_mm)
+    truths = lit_truths(scene, position_mm) if truths is None else truths
     lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
     pixels = layers.binned(scene.rig.camera.size_px[::-1])
     return label_picture(pixels, lines, one_step_w_m2_sr(scene, exposure_ms))
@@ -108,8 +107,7 @@ def one_step_w_m2_sr(scene: Scene, exposure_ms: float | None = None) -> float:
     """
     lens, sensor, laser = scene.tank.lens, scene.tank.sensor, scene.tank.laser
     response = sensor.laser_response
-    if exposure_ms is None:
-        exposure_ms = scene.rig.camera.exposure_ms
+    exposure_ms = scene.rig.camera.exposure_ms if exposure_ms is None else exposure_ms
     photons = photons_per_radiance(lens, sensor, exposure_ms, laser.wavelength_nm)
     electrons = photons * max(response.red, response.green, response.blue)
     black_dn = FULL_SCALE_DN * (sensor.black_level_dn / FULL_SCALE_DN) ** (1 / sensor.gamma)

@@ -168,8 +168,7 @@ class Tank:
         head, sensor = self.scene.tank.head, self.scene.tank.sensor
         pose = head_pose(head, position_mm)
         velocity = head.speed_mm_s * TRACK
-        if exposure_ms is None:
-            exposure_ms = self.scene.rig.camera.exposure_ms
+        exposure_ms = self.scene.rig.camera.exposure_ms if exposure_ms is None else exposure_ms
         for camera in (self._camera, self._random_camera):
             camera.place(pose @ camera_pose(head))
             if head.speed_mm_s != 0:
