@@ -388,8 +388,7 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
     rig = check(Rig, own, where=source)
     if not trusted and len(own) < len(document):
         known = set(Rig.model_fields).union(*(one.sections for one in drivers_of(rig, source)))
-        unknown = sorted(set(document) - known)
-        if unknown:
+        if unknown := sorted(set(document) - known):
             what, value = f"{unknown[0]}: unknown section", document[unknown[0]]
             raise InputError(what, where=source, value=value, allowed=", ".join(sorted(known)))
     _check_shaft(rig, source)

@@ -254,8 +254,7 @@ class ShapesDocument(Strict):
         names = [entry.name for _, entries in self for entry in entries]
         if not names:
             raise ValueError("names nothing: a plane, step, sphere, cylinder or height is needed")
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"names used twice: {twice}")
         return self
 

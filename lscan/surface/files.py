@@ -94,8 +94,7 @@ def _names_to_read(
     needed: tuple[str, ...], optional: tuple[str, ...], path: Path, there: Collection[str]
 ) -> list[str]:
     """Names of the arrays to read, of those that are there."""
-    missing = [name for name in needed if name not in there]
-    if missing:
+    if missing := [name for name in needed if name not in there]:
         allowed = ", ".join(needed)
         raise InputError("is not a surface of lscan", where=path, value=missing, allowed=allowed)
     if "sigma_calibration" in there and "modes" not in there:

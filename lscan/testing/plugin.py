@@ -158,8 +158,7 @@ def assert_no_worse(
             return
         if not file.exists():
             pytest.fail(f"no baseline {file}: pytest {UPDATE} writes it", pytrace=False)
-        worse = [one for one in compare_saved(result, file) if one.worse]
-        if worse:
+        if worse := [one for one in compare_saved(result, file) if one.worse]:
             write_suite_run(tmp_path, result, ())
             pytest.fail("\n".join([
                 *(one.in_words for one in worse),

@@ -55,8 +55,7 @@ class DatasetFile(Strict):
     @model_validator(mode="after")
     def _each_key_once(self) -> Self:
         keys = [key for one in self.drawn.values() for key in (one.key, *one.together)]
-        twice = sorted({key for key in keys if keys.count(key) > 1})
-        if twice:
+        if twice := sorted({key for key in keys if keys.count(key) > 1}):
             raise ValueError(f"drawn: {', '.join(twice)} is drawn twice")
         return self
 

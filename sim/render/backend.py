@@ -342,8 +342,7 @@ def newest_first(paths: Iterable[Path]) -> list[Library]:
     libraries = set()
     for path in paths:
         resolved = path.resolve()
-        match = _NAME.fullmatch(resolved.name)
-        if match:
+        if match := _NAME.fullmatch(resolved.name):
             major = match[1] or match[2]
             libraries.add(Library(resolved, int(major) if major else None))
     return sorted(libraries, key=lambda found: (-(found.major or 0), str(found.path)))
@@ -352,8 +351,7 @@ def newest_first(paths: Iterable[Path]) -> list[Library]:
 def _installed_libraries() -> list[Path]:
     """Every file named like a libLLVM that the dynamic linker or the usual folders hold."""
     paths = []
-    ldconfig = shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
-    if ldconfig:
+    if ldconfig := shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"):
         listed = subprocess.run([ldconfig, "-p"], capture_output=True, text=True).stdout
         paths += [Path(name) for name in re.findall(r"=> (\S*libLLVM\S*)", listed)]
     for root in ("/usr", "/usr/local", "/", sys.prefix):

@@ -350,8 +350,7 @@ class Tank:
 
     def _few_rays(self) -> SparseLaserLight | None:
         """What renders the laser's light of the first order from few rays, where that can be."""
-        reason = reason_for_samples(self.scene)
-        if reason:
+        if reason := reason_for_samples(self.scene):
             _log.warning("note: %s: every pixel is sampled (%s)", self.scene.source, reason)
             return None
         return SparseLaserLight(self.scene, self.mitsuba_scene, self._camera, self.integrator)

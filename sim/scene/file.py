@@ -171,8 +171,7 @@ def load_scene(path: Path | str) -> Scene:
     650.0
     """
     document = inline_board(read_document(path), source=str(path))
-    strange = sorted(set(document) - set(Rig.model_fields) - SECTIONS)
-    if strange:
+    if strange := sorted(set(document) - set(Rig.model_fields) - SECTIONS):
         allowed = ", ".join(sorted({*Rig.model_fields, *SECTIONS}))
         raise InputError(f"{strange[0]}: unknown section", where=path, allowed=allowed)
     return scene_of(parse_rig(document, source=str(path), trusted=True))

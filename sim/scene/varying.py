@@ -251,8 +251,7 @@ def check_changes(scene: "Scene") -> None:
         Names the change, and what is allowed.
     """
     streams = [(change.key, change.seed) for change in scene.tank.change if change.sine is None]
-    twice = [key for k, (key, seed) in enumerate(streams) if (key, seed) in streams[:k]]
-    if twice:
+    if twice := [key for k, (key, seed) in enumerate(streams) if (key, seed) in streams[:k]]:
         what = f"change: {twice[0]} is drawn twice from one seed"
         raise InputError(what, where=scene.source, allowed="another seed for each")
     for change in scene.tank.change:

@@ -161,8 +161,7 @@ class Webcam:
             The layers are no whole multiple of the picture.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        contrast = self._contrast(nm)
-        if contrast:
+        if contrast := self._contrast(nm):
             # A new pattern for each picture: the head moves between them.
             laser = add_speckle(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
             laser += self._photons(layers.scattered, exposure_ms, nm)

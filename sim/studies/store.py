@@ -268,8 +268,7 @@ def open_store(folder: Path, identity: StudyIdentity) -> ResultStore:
 def _forget_damaged(database: sqlite3.Connection, file: Path) -> None:
     """Drop rows that a disk has changed since: they are evaluated again."""
     every = database.execute("SELECT rowid, row, status, numbers, checksum FROM results")
-    damaged = [(n,) for n, *content, checksum in every if _checksum(*content) != checksum]
-    if damaged:
+    if damaged := [(n,) for n, *content, checksum in every if _checksum(*content) != checksum]:
         _log.warning("%s: %d rows are damaged, and will be evaluated again", file, len(damaged))
         with database:
             database.executemany("DELETE FROM results WHERE rowid = ?", damaged)

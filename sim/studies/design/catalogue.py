@@ -175,8 +175,7 @@ class Catalogue(Strict):
     def _names_once(self) -> Self:
         for kind in ("camera", "lens", "laser", "window", "track"):
             names = [part.name for part in getattr(self, kind)]
-            twice = sorted({name for name in names if names.count(name) > 1})
-            if twice:
+            if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"{kind}: {twice[0]!r} stands for several parts")
         return self
 
