@@ -507,8 +507,7 @@ def measure_run(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     >>> type(measures).__name__
     'GrooveMeasures'
     """
-    piece = run.rig_file.rig.workpiece
-    if piece is None:
+    if (piece := run.rig_file.rig.workpiece) is None:
         board, reading = read_shown_board(run)
         return measure_reading(reading, board, map_for_rig(plane_map, run.rig_file.rig))
     try:
@@ -638,8 +637,7 @@ def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) 
     MeasurementError
         Where the block is not found, or too little of it is in the scan.
     """
-    shaft = run.rig_file.rig.shaft
-    if shaft is None:
+    if (shaft := run.rig_file.rig.shaft) is None:
         raise InputError("the rig file has no section [shaft]", where=run.path)
     piece = require_piece(run, Sandwave)
     profiles = list(read_profiles(run, plane_map, progress))

@@ -433,8 +433,7 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
         do.
     """
     was, is_now = _without_connection(begun), _without_connection(now)
-    key = first_difference(was, is_now)
-    if key is not None:
+    if (key := first_difference(was, is_now)) is not None:
         raise InputError(
             f"cannot go on: the run was begun {_key_in_words(key, was)}, this rig comes "
             f"{_key_in_words(key, is_now)}; restore it in {now.source}, or begin a new scan",

@@ -493,8 +493,7 @@ def load_chain(path: str) -> Document:
         There is no such file, or it has none of them.
     """
     document = read_document(included_file(Path(), path))
-    chain = {name: document[name] for name in SECTIONS if name in document}
-    if not chain:
+    if not (chain := {name: document[name] for name in SECTIONS if name in document}):
         allowed = ", ".join(f"[{name}]" for name in SECTIONS)
         raise InputError("has no section of a chain", where=path, allowed=allowed)
     return chain

@@ -94,8 +94,7 @@ def run_suite(
     """
     (kind,) = {ROLES[role].cases for role in methods}
     shown, allowed = _IN_WORDS[kind]
-    named = [(role, name) for role, names in methods.items() for name in names]
-    if not named:
+    if not (named := [(role, name) for role, names in methods.items() for name in names]):
         raise InputError("nothing to judge", where="bench", allowed=allowed)
     for role, name in named:
         ROLES[role].judge(name)  # unknown ones are refused before any work
@@ -451,8 +450,7 @@ def before_and_after(now: Mapping[str, CaseSums], before: Mapping[str, CaseSums]
         value within three widths of the line
     """
     common = [case for case in sorted(now) if case in before and now[case].core]
-    common = [case for case in common if before[case].core]
-    if not common:
+    if not (common := [case for case in common if before[case].core]):
         return "no case of both has a column that counts"
 
     def rms(of: Mapping[str, CaseSums], cases: Sequence[str]) -> float:
@@ -642,8 +640,7 @@ def _in_both(
     saved = read_saved(file)
     if saved.suite != run.identity:
         raise InputError("is of another suite", where=file, value=saved.suite, allowed=run.identity)
-    both = [name for name in run.sums if name in saved.sums]
-    if not both:
+    if not (both := [name for name in run.sums if name in saved.sums]):
         allowed = ", ".join(saved.sums)
         raise InputError("has none of these extractors", where=file, allowed=allowed)
     return [(name, run.sums[name], saved.sums[name]) for name in both]

@@ -89,8 +89,7 @@ def outliers(reading: BoardReading) -> Mask:
     found = joined_marks(reading).found
     board_mm, image_px, _ = found_marks(all_marks(reading))
     wrong = np.zeros(len(found), dtype=bool)
-    both = _polynomial_terms(board_mm, image_px)
-    if both is not None:
+    if (both := _polynomial_terms(board_mm, image_px)) is not None:
         wrong[found] = _off_the_fit(*both, image_px, LEAST * spacing_px(reading))
     return wrong
 

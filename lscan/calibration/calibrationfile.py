@@ -492,8 +492,7 @@ def _content(path: Path, *models: type[File]) -> File:
     document = read_json(path, MOST_BYTES)
     kind = document.get("format") if isinstance(document, dict) else None
     formats = {model.model_fields["format"].default: model for model in models}
-    model = formats.get(str(kind))
-    if model is None:
+    if (model := formats.get(str(kind))) is None:
         wanted = next(iter(formats))
         what = f"is no {wanted.removeprefix('lscan-').replace('-', ' ')} file"
         raise InputError(what, where=path, value=kind, allowed=f'format "{wanted}"')

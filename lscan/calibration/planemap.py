@@ -320,8 +320,7 @@ class SheetCorrection(Strict):
         own[:, :, 0] = -factor * self.scale_sigma * arm
         own[:, [0, 1], [1, 2]] = factor * self.shift_sigma_mm
         variance = factor**2 * estimate.variance_mm2 + (own**2).sum(axis=2)
-        modes = estimate.modes_mm
-        if modes is not None:
+        if (modes := estimate.modes_mm) is not None:
             modes = np.concatenate([factor * modes, own], axis=2)
         return Estimate(self.middle_mm + arm, variance, modes)
 

@@ -228,8 +228,7 @@ def run_command_line(app: typer.Typer, name: str) -> None:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)
             sys.exit(BAD_INPUT)
-        format_message = getattr(error, "format_message", None)
-        if format_message is None:
+        if (format_message := getattr(error, "format_message", None)) is None:
             raise
         _leave(name, " ".join(format_message().split()), BAD_INPUT)
     if code == STOPPED:  # what typer makes of Ctrl-C

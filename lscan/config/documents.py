@@ -102,8 +102,7 @@ def trace(model: Any, place: Keys) -> tuple[Keys, Any]:
     keys: list[str | int] = []
     here: Any = model
     for part in place:
-        inner = _member(here, part)
-        if inner is not None:
+        if (inner := _member(here, part)) is not None:
             here = inner
             keys.append(part)
         else:

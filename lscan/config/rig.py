@@ -443,8 +443,7 @@ def _check_names(rig_file: RigFile) -> None:
     family, _, variant = name.partition("-")
     solver = find_plugin("lscan.planemaps", family, where=where)
     # A solver from elsewhere may lack the check; it then refuses when it is called.
-    check_variant = getattr(solver, "check_variant", None)
-    if check_variant is None:
+    if (check_variant := getattr(solver, "check_variant", None)) is None:
         return
     try:
         check_variant(variant)

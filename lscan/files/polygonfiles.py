@@ -438,8 +438,7 @@ def read_off(content: bytes) -> PolygonMesh:
     content : bytes, of the file
     """
     text = re.sub(r"#.*", "", content.decode("latin-1"))
-    head = re.match(r"\s*(?:ST)?(C?)(N?)OFF(?![A-Za-z])(?!\s+BINARY)", text)
-    if not head:
+    if not (head := re.match(r"\s*(?:ST)?(C?)(N?)OFF(?![A-Za-z])(?!\s+BINARY)", text)):
         raise InputError("has no header OFF, COFF, NOFF or CNOFF of a text")
     lines = [words for words in map(str.split, text[head.end() :].splitlines()) if words]
     (count, faces), rows = map(int, lines[0][:2]), lines[1:]

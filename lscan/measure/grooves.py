@@ -440,8 +440,7 @@ def find_parts(line: Trace, piece: GroovedBlock) -> Parts:
     bottoms = []
     for number, (left, right) in enumerate(pairwise(ridges), start=1):
         limit = left.level_mm - shallowest / 2
-        inside = _below(found, left.points[-1], right.points[0], limit)
-        if not inside:
+        if not (inside := _below(found, left.points[-1], right.points[0], limit)):
             raise MeasurementError(f"the bottom of groove {number} is not seen")
         # Beside the bottom, pieces of lit wall may stand: the bottom is the widest piece.
         bottoms.append(_widest_level(line, inside))

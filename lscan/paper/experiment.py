@@ -277,8 +277,7 @@ def note(sources: Sources, parts: Collection[str] = PARTS) -> str:
     parts : collection of str, of these names
     """
     there = {part: source for part, source in sources.items() if part in parts}
-    simulated = simulated_parts(there)
-    if not simulated:
+    if not (simulated := simulated_parts(there)):
         return ""
     words = f"simulated tank, {noise_words(simulated.values())}."
     if len(simulated) < len(there):
@@ -327,11 +326,9 @@ def simulated_parts(sources: Sources) -> Sources:
 
 def noise_words(sources: Collection[PictureSource]) -> str:
     """Such as "noise seed 1"."""
-    noisy = [source for source in sources if source.noise]
-    if not noisy:
+    if not (noisy := [source for source in sources if source.noise]):
         return "without noise"
-    seeds = {source.noise_seed for source in noisy if source.noise_seed is not None}
-    if not seeds:
+    if not (seeds := {source.noise_seed for source in noisy if source.noise_seed is not None}):
         return "noise seed not stated"
     return f"noise seed{'s' if len(seeds) > 1 else ''} {' and '.join(map(str, sorted(seeds)))}"
 

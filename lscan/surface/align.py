@@ -101,8 +101,7 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> a
     for window in WINDOWS_MM:
         selected = _select(features, pose, piece, window)
         pose, edges = _refine(features.tops, _by_crossings(selected, piece), pose, piece, sheared)
-    fading = _by_fading(surface, pose, edges, list(selected), piece)
-    if fading is not None:
+    if (fading := _by_fading(surface, pose, edges, list(selected), piece)) is not None:
         pose, edges = _refine(features.tops, fading, pose, piece, sheared)
     datum = _datum(surface, features, selected, pose, edges, sheared)
     modes = alignment.turned_modes(surface, pose.rotation @ alignment.shear(pose.yaw), datum.index)

@@ -348,8 +348,7 @@ def _angle(path: Path, attributes: Mapping[str, Any], name: str) -> float | None
 
 def _provenance(path: Path, attributes: Mapping[str, Any]) -> Provenance | None:
     """What the file says the surface was made from, None of an older one, which says nothing."""
-    known = {name: attributes[name] for name in PROVENANCE if name in attributes}
-    if not known:
+    if not (known := {name: attributes[name] for name in PROVENANCE if name in attributes}):
         return None
     pictures = np.asarray(known.get("pictures", ""))
     if pictures.dtype.kind in "iu" and pictures.size == 1:

@@ -115,8 +115,7 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
     variance = _own_variance(surface, valid, samples, slopes)
     if bias_mm is not None:
         variance += samples.total(samples.weight[0] * bias_mm[valid][samples.order]) ** 2
-    modes = _modes(surface, valid, samples, slopes)
-    if modes is not None:
+    if (modes := _modes(surface, valid, samples, slopes)) is not None:
         variance += (modes**2).sum(axis=-1)
     z = spread(height, np.nan)
     return HeightGrid(

@@ -187,8 +187,7 @@ def rendered(
     """
     from sim.render.tank import Tank
 
-    keys = [key for key in task.keys if key not in but]
-    if not keys:
+    if not (keys := [key for key in task.keys if key not in but]):
         return
     try:
         base, drawn = task.spec.tank(task.number)

@@ -441,8 +441,7 @@ def make_cached_suite(
     InputError
         Another process makes it, or the disk refuses.
     """
-    cache = suite_cache()
-    if cache is None:
+    if (cache := suite_cache()) is None:
         allowed = "HOME or XDG_CACHE_HOME in a folder of one's own; or a file for the suite"
         raise InputError("there is no cache of this user's own", value=name, allowed=allowed)
     make_folder(cache)

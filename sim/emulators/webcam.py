@@ -387,8 +387,7 @@ class _Client(BaseHTTPRequestHandler):
         self._begin({"Content-Type": f"multipart/x-mixed-replace; boundary={BOUNDARY}"})
         sent = camera.count
         while camera.fault != "drop" and not self._hung_up():
-            shot = camera.newest(sent, LOOK_UP_S)
-            if shot is not None:
+            if (shot := camera.newest(sent, LOOK_UP_S)) is not None:
                 self.wfile.write(_part(shot))
                 sent = shot.number
 

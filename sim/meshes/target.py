@@ -47,8 +47,7 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
     """
     pose = target_pose(scene)
     parts = [move_part(part, pose) for part in target_parts(scene)]
-    floor = scene.tank.floor
-    if floor is not None:
+    if (floor := scene.tank.floor) is not None:
         square = plain_mesh(floor_corners_mm(scene), np.array([[0, 1, 2], [0, 2, 3]]))
         parts.append(MeshPart("floor", square, floor.albedo))
     return parts

@@ -95,8 +95,7 @@ def install_first(packages: Sequence[str]) -> None:
         apt-get, the right to use it, or such a package is missing.
     """
     admin = _as_root()
-    package = _offered_package(packages)
-    if package is None:
+    if (package := _offered_package(packages)) is None:
         _apt_get(admin, "update")
         package = _offered_package(packages)
     if package is None:

@@ -314,8 +314,7 @@ def run_concavity(
         Where there is no such target.
     """
     every = cases(scenes, output / "meshes")
-    chosen = [case for case in every if only in case.name]
-    if not chosen:
+    if not (chosen := [case for case in every if only in case.name]):
         allowed = "; ".join(case.name for case in every)
         raise InputError("no such target", where="--only", value=only, allowed=allowed)
     errors = []

@@ -131,8 +131,7 @@ def require_same(
     """
     if "sha256" in identity and kept.get("sha256") == identity["sha256"]:
         return
-    differing = first_difference(kept, parse_json(json_text(identity), file))
-    if differing is not None:
+    if (differing := first_difference(kept, parse_json(json_text(identity), file))) is not None:
         raise InputError(
             f"holds {what}, which differs in its {differing} ({file.name})",
             where=file.parent,

@@ -193,8 +193,7 @@ def _design(study: Study, base: int) -> Design:
 def _tolerances(running: StudyRunning, found: _TierRuns) -> Tolerances | None:
     """Those that the study's file asks for, of geometric runs; each spread has its own folder."""
     file = running.study.file
-    bound = file.tolerances
-    if bound is None:
+    if (bound := file.tolerances) is None:
         return None
     groups = found.convergence[-1][1][bound.output].groups
     source = running.source("geometric")

@@ -182,13 +182,11 @@ def fit_views(
             )
         found = [seen for number in numbers if (seen := views[number].marks) is not None]
         marks = found_on(found, range(len(numbers)))
-        start = best_start(marks, priors, optics.port, image_size[0])
-        if start is None:
+        if (start := best_start(marks, priors, optics.port, image_size[0])) is None:
             message = "no camera explains the views of the board"
             raise UnsolvedViews(message, _views_with_faults(views, faults))
         fit = _fit(start, marks, priors)
-        wrong = _worst_view(fit, marks)
-        if wrong is None:
+        if (wrong := _worst_view(fit, marks)) is None:
             break
         index, faults[numbers[index]] = wrong
         del numbers[index]

@@ -195,8 +195,7 @@ class Dialogue(Exchange[Message]):
 
     def status(self) -> StatusReport:
         """A report asked for now, its lengths in the controller's unit."""
-        report = self._report(self.following)
-        if report is None:
+        if (report := self._report(self.following)) is None:
             raise self.silent("a status report")
         return report
 

@@ -194,8 +194,7 @@ class OpencvCamera:
         fault = ""
         for _ in range(retries + 1):
             picture = self._take(after_s)
-            fault = self._fault(picture, may_be_black)
-            if not fault:
+            if not (fault := self._fault(picture, may_be_black)):
                 self._last = picture.image
                 return picture
         raise DeviceError(f"{self._options.name}: {fault}, {retries + 1} times in a row")
