@@ -166,11 +166,8 @@ def finish(raw: Surface, rig: Rig, kept: KeptAlignment | None = None) -> Reconst
     """
     if kept is not None:
         if rig.shaft is not None:
-            raise InputError(
-                "a kept alignment is that of a linear track",
-                where=kept.source,
-                allowed="a scan without [shaft]",
-            )
+            what = "a kept alignment is that of a linear track"
+            raise InputError(what, where=kept.source, allowed="a scan without [shaft]")
         alignment = kept.of(raw)
         done = f"yaw and level by {kept.source}"
         surface = place(raw, alignment, rig)
@@ -510,8 +507,7 @@ def measure_run(run: Run, plane_map: PlaneMap, progress: Progress | None = None)
     >>> type(measures).__name__
     'GrooveMeasures'
     """
-    piece = run.rig_file.rig.workpiece
-    if piece is None:
+    if (piece := run.rig_file.rig.workpiece) is None:
         board, reading = read_shown_board(run)
         return measure_reading(reading, board, map_for_rig(plane_map, run.rig_file.rig))
     try:
@@ -641,8 +637,7 @@ def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) 
     MeasurementError
         Where the block is not found, or too little of it is in the scan.
     """
-    shaft = run.rig_file.rig.shaft
-    if shaft is None:
+    if (shaft := run.rig_file.rig.shaft) is None:
         raise InputError("the rig file has no section [shaft]", where=run.path)
     piece = require_piece(run, Sandwave)
     profiles = list(read_profiles(run, plane_map, progress))
@@ -696,11 +691,9 @@ def lengths_json(lengths: Mapping[str, Length]) -> dict[str, dict[str, float]]:
 
 
 def _nothing_to_measure(run: Run, missing: str) -> InputError:
-    return InputError(
-        f"the run's rig file {missing}; `lscan reconstruct` gives the surface of what is there",
-        where=run.path,
-        allowed='a picture of the [board], or [workpiece] kind = "grooved-block" or "sandwave"',
-    )
+    what = f"the run's rig file {missing}; `lscan reconstruct` gives the surface of what is there"
+    allowed = 'a picture of the [board], or [workpiece] kind = "grooved-block" or "sandwave"'
+    return InputError(what, where=run.path, allowed=allowed)
 
 
 def require_piece(run: Run, wanted: type[Piece]) -> Piece:
@@ -719,9 +712,6 @@ def require_piece(run: Run, wanted: type[Piece]) -> Piece:
     piece = run.rig_file.rig.workpiece
     if isinstance(piece, wanted):
         return piece
-    raise InputError(
-        "the run's rig file has another workpiece",
-        where=run.path,
-        value=piece.kind if piece else None,
-        allowed=f'[workpiece] kind = "{wanted.model_fields["kind"].default}"',
-    )
+    what = "the run's rig file has another workpiece"
+    allowed = f'[workpiece] kind = "{wanted.model_fields["kind"].default}"'
+    raise InputError(what, where=run.path, value=piece.kind if piece else None, allowed=allowed)

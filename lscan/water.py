@@ -183,27 +183,6 @@ def air_index(wavelength_nm: float) -> float:
     return 1 + 1e-8 * (5792105 / (238.0185 - wavenumber2) + 167917 / (57.362 - wavenumber2))
 
 
-def absolute_index(
-    temperature_c: float,
-    salinity_psu: float,
-    wavelength_nm: float,
-    pressure_mpa: float = ATMOSPHERE_MPA,
-) -> float:
-    """Index of water relative to vacuum, to be compared with IAPWS.
-
-    Parameters
-    ----------
-    temperature_c, salinity_psu, wavelength_nm, pressure_mpa : float, as of ``refractive_index``
-
-    Raises
-    ------
-    InputError
-        A value lies outside the range of ``refractive_index``.
-    """
-    relative = refractive_index(temperature_c, salinity_psu, wavelength_nm, pressure_mpa)
-    return relative * air_index(wavelength_nm)
-
-
 def iapws_index(density_kg_m3: float, temperature_c: float, wavelength_nm: float) -> float:
     """Index of pure water relative to vacuum.
 

@@ -53,11 +53,7 @@ class DemoEffort:
 FULL = DemoEffort(frames=None, render={}, checks=5, samples=64, scatter_samples=8)
 # A hundred frames are the fewest from which the sandwave's scan can be aligned.
 QUICK = DemoEffort(
-    frames=100,
-    render={"samples": 1, "scatter_samples": 0},
-    checks=1,
-    samples=4,
-    scatter_samples=1,
+    frames=100, render={"samples": 1, "scatter_samples": 0}, checks=1, samples=4, scatter_samples=1
 )
 
 
@@ -202,11 +198,9 @@ def _control_points(experiment: Experiment, scene: Scene) -> ControlPoints:
     grid, truth = experiment.board.reading.grid, board_truth(scene).centres.grid
     both = grid.found & truth.found
     error = np.hypot(*(grid.image_px[both] - truth.image_px[both]).T)
+    expected, rms_px = int(truth.found.sum()), float(np.sqrt(np.mean(error**2)))
     return ControlPoints(
-        expected=int(truth.found.sum()),
-        found=int(both.sum()),
-        rms_px=float(np.sqrt(np.mean(error**2))),
-        max_px=float(error.max()),
+        expected=expected, found=int(both.sum()), rms_px=rms_px, max_px=float(error.max())
     )
 
 

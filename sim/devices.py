@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
@@ -123,8 +122,7 @@ class TankCamera:
             webcam = webcam.taking(at.scene)
         layers, exposure_ms = metered(at.scene, self._tank, webcam, at.position_mm, time_s=time_s)
         if dark or not lit:
-            none = np.zeros_like(layers.ambient)
-            layers = replace(layers, direct=none, scattered=none)
+            layers = layers.without_laser()
         nanometres, stream = round(position_mm * 1e6), _DARK if dark else _LIT
         place = abs(nanometres), int(nanometres < 0)
         seed = [self._scene.tank.sensor.seed, stream, *place, index]
@@ -267,6 +265,24 @@ def metered(
     return layers, exposure_ms
 
 
+def take_picture(
+    scene: Scene, tank: Tank, position_mm: float, samples: int | None = None
+) -> tuple[Bytes, Layers, float]:
+    """A picture by itself, (H, W, 3) uint8 RGB, its layers of light, and its exposure in ms.
+
+    Parameters
+    ----------
+    scene, tank, position_mm, samples
+        As of ``metered``.
+    """
+    from sim.sensor import Webcam
+
+    webcam = Webcam(scene)
+    layers, exposure_ms = metered(scene, tank, webcam, position_mm, samples)
+    generator = np.random.default_rng([scene.tank.sensor.seed, 1])
+    return webcam.expose(layers, exposure_ms, generator), layers, exposure_ms
+
+
 def exposure_of(scene: Scene, webcam: Webcam, layers: Layers, *, time_s: float = 0.0) -> float:
     """The exposure, ms, of a picture of that light: the rig's, or what auto exposure asks for.
 
@@ -320,13 +336,10 @@ def render_picture(
     (480, 640, 3)
     """
     from sim.render.tank import Tank
-    from sim.sensor import Webcam
 
     place = scene.rig.plan.start_mm if position_mm is None else position_mm
     at = at_moment(scene, 0, place)
-    webcam = Webcam(at.scene)
-    layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
-    return webcam.expose(layers, exposure_ms, np.random.default_rng([scene.tank.sensor.seed, 1]))
+    return take_picture(at.scene, Tank(scene), at.position_mm, samples)[0]
 
 
 def load_checked(path: Path | str) -> Scene:
@@ -365,19 +378,13 @@ def camera_options(scene: Scene) -> CameraOptions:
     )
     sensor = scene.tank.sensor
     if options.auto_exposure and any(c.key == "camera.exposure_ms" for c in scene.tank.change):
-        raise InputError(
-            "change: camera.exposure_ms is found anew for each picture by auto exposure",
-            where=scene.source,
-            allowed="camera.options.auto_exposure = false",
-        )
+        what = "change: camera.exposure_ms is found anew for each picture by auto exposure"
+        raise InputError(what, where=scene.source, allowed="camera.options.auto_exposure = false")
     black_dn = 255 * (sensor.black_level_dn / 255) ** (1 / sensor.gamma)
     if options.auto_exposure and options.target_dn <= black_dn:
-        raise InputError(
-            "camera.options.target_dn: is no brighter than black",
-            where=scene.source,
-            value=options.target_dn,
-            allowed=f"above {black_dn:.4g} DN, the sensor's black level behind its gamma",
-        )
+        what = "camera.options.target_dn: is no brighter than black"
+        allowed = f"above {black_dn:.4g} DN, the sensor's black level behind its gamma"
+        raise InputError(what, where=scene.source, value=options.target_dn, allowed=allowed)
     return options
 
 
@@ -389,12 +396,8 @@ def _check_files(scene: Scene) -> None:
     }
     for key, file in named.items():
         if file is not None and not os.path.isfile(file):  # noqa: PTH113 - takes any text
-            raise InputError(
-                f"{key}: no such file",
-                where=scene.source,
-                value=file,
-                allowed="a file, its path counted from the scene's folder",
-            )
+            where, allowed = scene.source, "a file, its path counted from the scene's folder"
+            raise InputError(f"{key}: no such file", where=where, value=file, allowed=allowed)
 
 
 camera_driver = SimCameraDriver()

@@ -170,8 +170,7 @@ class Ahead(Generic[_Result]):
         ----------
         call : its arguments
         """
-        place = self._places.get(call)
-        if place is None:
+        if (place := self._places.get(call)) is None:
             return self._work(*call)
         if self._pool is None:
             result = self._work(*call)  # first here: what is made once and kept is found there

@@ -168,19 +168,13 @@ class ReplayCameraDriver:
         run = _recorded_run(rig_file, "camera")
         asked, recorded = rig_file.rig.camera.size_px, run.rig_file.rig.camera.size_px
         if asked != recorded:
-            raise InputError(
-                "camera.width_px, camera.height_px: not the size of the recorded pictures",
-                where=rig_file.source,
-                value=asked,
-                allowed=recorded,
-            )
+            what = "camera.width_px, camera.height_px: not the size of the recorded pictures"
+            raise InputError(what, where=rig_file.source, value=asked, allowed=recorded)
         if rig_file.rig.plan.paired and not run.rig_file.rig.plan.paired:
-            raise InputError(
-                f"the run {run.path} was recorded without backgrounds",
-                where=f"{rig_file.source}: plan.laser",
-                value=rig_file.rig.plan.laser,
-                allowed="untouched, on",
-            )
+            what = f"the run {run.path} was recorded without backgrounds"
+            where = f"{rig_file.source}: plan.laser"
+            allowed = "untouched, on"
+            raise InputError(what, where=where, value=rig_file.rig.plan.laser, allowed=allowed)
         return run
 
 
@@ -194,12 +188,9 @@ def _recorded_run(rig_file: RigFile, device: Literal["camera", "track"]) -> Run:
         if len(run) == 0:
             raise InputError("a run without frames", where=path)
     except InputError as error:
-        raise InputError(
-            f"{prefix}.run_file: no recorded run: {error}",
-            where=source,
-            value=str(path),
-            allowed="the folder of a recorded run",
-        ) from error
+        what = f"{prefix}.run_file: no recorded run: {error}"
+        allowed = "the folder of a recorded run"
+        raise InputError(what, where=source, value=str(path), allowed=allowed) from error
     return run
 
 

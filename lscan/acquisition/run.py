@@ -33,14 +33,9 @@ from lscan.config.plugins import find_plugin, installed, others_versions, refuse
 from lscan.config.rig import Plan, Rig, RigFile, parse_rig
 from lscan.devices.api import LASER_MAY_BE_LIT, Camera, Identified
 from lscan.errors import DeviceError, InputError, LscanError
-from lscan.files.disk import (
-    content_sha256,
-    list_names,
-    long_work,
-    read_bytes,
-    read_json,
-    require_within,
-)
+from lscan.files.cache import long_work
+from lscan.files.disk import content_sha256, list_names, read_bytes, require_within
+from lscan.files.jsonfiles import read_json
 from lscan.files.pictures import read_png
 from lscan.records import Bytes, Floats, Frame
 from lscan.version import __version__
@@ -438,8 +433,7 @@ def require_same_rig(begun: RigFile, now: RigFile, where: Path) -> None:
         do.
     """
     was, is_now = _without_connection(begun), _without_connection(now)
-    key = first_difference(was, is_now)
-    if key is not None:
+    if (key := first_difference(was, is_now)) is not None:
         raise InputError(
             f"cannot go on: the run was begun {_key_in_words(key, was)}, this rig comes "
             f"{_key_in_words(key, is_now)}; restore it in {now.source}, or begin a new scan",
@@ -492,12 +486,9 @@ def require_same_files(files: Mapping[str, str], where: Path) -> None:
     for file, kept in files.items():
         now = content_sha256(Path(file))
         if now != kept:
-            raise InputError(
-                f"{'was changed' if now else 'is gone'} since {where} was made with it",
-                where=file,
-                value=now or None,
-                allowed=f"SHA-256 {kept}: bring that file back, or begin anew",
-            )
+            what = f"{'was changed' if now else 'is gone'} since {where} was made with it"
+            allowed = f"SHA-256 {kept}: bring that file back, or begin anew"
+            raise InputError(what, where=file, value=now or None, allowed=allowed)
 
 
 def first_difference(one: Any, other: Any) -> str | None:

@@ -143,8 +143,7 @@ def open_track(rig_file: RigFile) -> Track:
         As ``open_devices``.
     """
     _, driver = drivers_of(rig_file.rig, rig_file.source)
-    track: Track = driver.open(rig_file)
-    return track
+    return driver.open(rig_file)
 
 
 def open_camera(rig_file: RigFile, track: Track) -> Camera:
@@ -506,8 +505,6 @@ def require_guarded_main() -> None:
     (statement,) = (one for one in body if one.lineno <= line <= (one.end_lineno or line))
     names = {one.id for one in ast.walk(statement) if isinstance(one, ast.Name)}
     if not (isinstance(statement, ast.If) and "__name__" in names):
-        raise InputError(
-            "starts processes, each of which would run this script again",
-            where=f"{file} line {line}",
-            allowed='beneath if __name__ == "__main__":',
-        )
+        what = "starts processes, each of which would run this script again"
+        allowed = 'beneath if __name__ == "__main__":'
+        raise InputError(what, where=f"{file} line {line}", allowed=allowed)

@@ -151,9 +151,8 @@ class RunWriter:
         if not self._held:
             raise InputError("cannot be written: the writer is closed", where=self.path)
         if frame.index != self.written or frame.index >= self.planned:
-            raise InputError(
-                "frame out of order", where=self.path, value=frame.index, allowed=self.written
-            )
+            what = "frame out of order"
+            raise InputError(what, where=self.path, value=frame.index, allowed=self.written)
         self._require_alike(frame)
         if (frame.background is not None) != self.rig_file.rig.plan.paired:
             what = "a frame of a paired run needs a background, any other has none"
@@ -180,13 +179,11 @@ class RunWriter:
             self._shape = open_run(self.path, trusted=True).frame(0).image.shape
         self._shape = self._shape or frame.image.shape
         if frame.image.shape != self._shape:
-            raise InputError(
+            what = (
                 f"frame {frame.index} is not like the frames before; set the camera as it was, "
-                "or begin a new scan",
-                where=self.path,
-                value=frame.image.shape,
-                allowed=self._shape,
+                "or begin a new scan"
             )
+            raise InputError(what, where=self.path, value=frame.image.shape, allowed=self._shape)
 
     def finish(self) -> Run:
         """Mark the run complete, where it is not yet, and return it.
@@ -194,9 +191,8 @@ class RunWriter:
         Raises InputError where frames are still missing.
         """
         if self.written < self.planned:
-            raise InputError(
-                "frames are missing", where=self.path, value=self.written, allowed=self.planned
-            )
+            what = "frames are missing"
+            raise InputError(what, where=self.path, value=self.written, allowed=self.planned)
         self.keep(state="complete")
         return open_run(self.path, trusted=True)
 
@@ -265,23 +261,20 @@ def resume_run(path: Path, rig_file: RigFile) -> RunWriter:
 def refuse_existing(path: Path) -> None:
     """Raise InputError where there is something at ``path`` already."""
     if os.path.lexists(path):
-        raise InputError(
-            "exists already",
-            where=path,
-            allowed="another folder; or, to go on with the run there or take it as it is if "
-            "complete, --resume, in Python resume=True",
+        allowed = (
+            "another folder; or, to go on with the run there or take it as it is if "
+            "complete, --resume, in Python resume=True"
         )
+        raise InputError("exists already", where=path, allowed=allowed)
 
 
 def _new_manifest(rig_file: RigFile) -> Manifest:
     try:
         json.dumps(rig_file.document, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"holds a value that a run folder cannot keep: {error}",
-            where=rig_file.source,
-            allowed="text, finite numbers, true, false, lists and tables",
-        ) from error
+        what = f"holds a value that a run folder cannot keep: {error}"
+        allowed = "text, finite numbers, true, false, lists and tables"
+        raise InputError(what, where=rig_file.source, allowed=allowed) from error
     software, plan = [recording_versions(rig_file.rig)], rig_file.rig.plan
     files = named_files(rig_file.document)
     return Manifest(

@@ -119,14 +119,12 @@ def _line(case: LineCase, centre_px: Floats) -> Floats:
     """(H, W) the Gaussian of height 1, its mean over each pixel."""
     edges = np.arange(SHAPE[0] + 1)[:, None] - 0.5 - centre_px
     area: Floats = np.diff(erf(edges / (np.sqrt(2) * case.sigma_px)), axis=0) / 2
-    line: Floats = np.sqrt(2 * np.pi) * case.sigma_px * area
-    return line
+    return np.sqrt(2 * np.pi) * case.sigma_px * area
 
 
 def _skirt(case: LineCase, centre_px: Floats) -> Floats:
     distance = np.abs(np.arange(SHAPE[0])[:, None] - centre_px)
-    skirt: Floats = SKIRTS[case.water] / (distance + SKIRT_PX)
-    return skirt
+    return SKIRTS[case.water] / (distance + SKIRT_PX)
 
 
 # Calibration boards seen through a flat port from the paper's place: exact marks, then noise.

@@ -20,7 +20,8 @@ from scipy.special import erf
 from lscan.board import read_board
 from lscan.calibration.calibrate import calibrate
 from lscan.calibration.check import map_for_rig
-from lscan.calibration.planemap import PlaneMap, find_solver, joined_marks
+from lscan.calibration.marks import joined_marks
+from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.config.board import Board
 from lscan.config.documents import Document, check, merge, read_document
 from lscan.config.plugins import find_plugin_or_function, names_code, raised
@@ -223,8 +224,7 @@ def normal_score(z: Floats) -> Floats:
     American Statistical Association 102 (2007), section 4.2.
     """
     density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
-    scores: Floats = z * erf(z / np.sqrt(2)) + 2 * density - 1 / np.sqrt(np.pi)
-    return scores
+    return z * erf(z / np.sqrt(2)) + 2 * density - 1 / np.sqrt(np.pi)
 
 
 def reference_seconds() -> float:
@@ -493,8 +493,7 @@ def load_chain(path: str) -> Document:
         There is no such file, or it has none of them.
     """
     document = read_document(included_file(Path(), path))
-    chain = {name: document[name] for name in SECTIONS if name in document}
-    if not chain:
+    if not (chain := {name: document[name] for name in SECTIONS if name in document}):
         allowed = ", ".join(f"[{name}]" for name in SECTIONS)
         raise InputError("has no section of a chain", where=path, allowed=allowed)
     return chain

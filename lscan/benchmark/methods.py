@@ -9,18 +9,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from lscan.benchmark.drawn import (
-    BACKGROUND_DN,
-    BOARDS,
-    OPTICS,
-    SHAPE,
-    SKIRTS,
-    LineCase,
-    centres,
-    draw,
-    image_px,
-    reading_of,
-)
+from lscan.benchmark import drawn
 from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.config.board import Board
 from lscan.config.rig import NoiseSection, OpticsSection, StripeSection
@@ -97,7 +86,7 @@ class ExtractorRow:
     """
 
     extractor: str
-    case: LineCase
+    case: drawn.LineCase
     bias_px: float
     scatter_px: float
     bound_ratio: float | None
@@ -108,14 +97,14 @@ class ExtractorRow:
     us_a_frame: float
 
 
-def cases(quick: bool = False) -> Iterator[LineCase]:
+def cases(quick: bool = False) -> Iterator[drawn.LineCase]:
     """Every water, width and peak; without speckle, and the bright line with it."""
-    waters = ("tap", "harbor") if quick else tuple(SKIRTS)
+    waters = ("tap", "harbor") if quick else tuple(drawn.SKIRTS)
     widths = WIDTHS_PX[1:2] if quick else WIDTHS_PX
     for water, width, peak in product(waters, widths, PEAKS_DN):
-        yield LineCase(water, width, peak, SENSOR)
+        yield drawn.LineCase(water, width, peak, SENSOR)
     for width in widths:
-        yield LineCase("tap", width, PEAKS_DN[1], SPECKLED)
+        yield drawn.LineCase("tap", width, PEAKS_DN[1], SPECKLED)
 
 
 def bench_extractors(
@@ -147,19 +136,22 @@ def bench_extractors(
     for number, case in enumerate(cases(quick)):
         generator = np.random.default_rng([seed, number])
         phases = generator.random(pictures)
-        shown = [(centres(phase), draw(case, centres(phase), generator)) for phase in phases]
+        shown = [
+            (drawn.centres(phase), drawn.draw(case, drawn.centres(phase), generator))
+            for phase in phases
+        ]
         for name in names:
             settings = _settings(name, case)
             read = [(true, extract_stripe(image, settings)) for true, image in shown]
             yield _extractor_row(name, case, read, times[name])
 
 
-def _settings(name: str, case: LineCase) -> StripeSection:
+def _settings(name: str, case: drawn.LineCase) -> StripeSection:
     return StripeSection(extractor=name, threshold_dn=THRESHOLD_DN, noise=case.noise)
 
 
 def _extractor_row(
-    name: str, case: LineCase, read: Sequence[tuple[Floats, Stripe]], us_a_frame: float
+    name: str, case: drawn.LineCase, read: Sequence[tuple[Floats, Stripe]], us_a_frame: float
 ) -> ExtractorRow:
     valued = has_value(np.concatenate([stripe.status for _, stripe in read]))
     error = np.concatenate([stripe.centre_px - true for true, stripe in read])[valued]
@@ -187,7 +179,7 @@ def share_within(limit: float, errors: Floats) -> float:
     return float(np.mean(np.where(np.isnan(errors), np.nan, errors <= limit)))
 
 
-def bound_px(case: LineCase) -> float:
+def bound_px(case: drawn.LineCase) -> float:
     """The Cramér-Rao bound of a line's centre, rms over the sub-pixel phases.
 
     Parameters
@@ -208,16 +200,16 @@ def bound_px(case: LineCase) -> float:
     0.0067
     """
     phases = (np.arange(PHASES) + 0.5) / PHASES - 0.5
-    noise = stated_noise(case.noise, BACKGROUND_DN)
+    noise = stated_noise(case.noise, drawn.BACKGROUND_DN)
     return float(np.sqrt(np.mean(centre_bound_px(case.sigma_px, case.peak_dn, noise, phases) ** 2)))
 
 
 def _time_us(name: str, seed: int) -> float:
     """Median microseconds for a picture of 640 by 480 with a bright line."""
-    case = LineCase("tap", 1.5, 200.0, SENSOR)
-    rows, columns = SHAPE
+    case = drawn.LineCase("tap", 1.5, 200.0, SENSOR)
+    rows, columns = drawn.SHAPE
     image = np.full((480, 640), 4, dtype=np.uint8)
-    line = draw(case, centres(0.3), np.random.default_rng(seed))
+    line = drawn.draw(case, drawn.centres(0.3), np.random.default_rng(seed))
     image[:rows] = np.tile(line, image.shape[1] // columns)
     settings = _settings(name, case)
     return 1e6 * median_seconds(lambda: extract_stripe(image, settings), REPEATS)
@@ -259,7 +251,7 @@ class MapRow:
 
 def board_cases(quick: bool = False) -> Iterator[tuple[str, float]]:
     """Every board and noise of its marks in px; the paper's board alone where ``quick``."""
-    for label in ("paper",) if quick else BOARDS:
+    for label in ("paper",) if quick else drawn.BOARDS:
         for noise in NOISES_PX:
             yield label, noise
 
@@ -291,11 +283,11 @@ def bench_maps(
     """
     solvers = {name: find_solver(name) for name in names}
     for label, noise in board_cases(quick):
-        board, number = BOARDS[label], list(BOARDS).index(label)
+        board, number = drawn.BOARDS[label], list(drawn.BOARDS).index(label)
         places = _places(board, np.random.default_rng([seed, number]))
         generator = np.random.default_rng([seed, number, round(1e4 * noise)])
         count = 1 if noise == 0 else draws
-        readings = [reading_of(board, noise, generator) for _ in range(count)]
+        readings = [drawn.reading_of(board, noise, generator) for _ in range(count)]
         for name, solver in solvers.items():
             yield _map_row(name, solver.solve, label, noise, readings, places)
 
@@ -308,12 +300,12 @@ def _map_row(
     readings: Sequence[BoardReading],
     places: Floats,
 ) -> MapRow:
-    pixels = image_px(places)
+    pixels = drawn.image_px(places)
     nan = float("nan")
     errors, ratios, covered, solving, mapping = [], [], [], [], []
     for reading in readings:
         try:
-            seconds, solved = time_call(partial(solve, reading, OPTICS))
+            seconds, solved = time_call(partial(solve, reading, drawn.OPTICS))
         except (InputError, BoardNotFound) as refusal:
             return MapRow(name, board, noise_px, nan, nan, nan, 0.0, nan, nan, str(refusal))
         solving.append(seconds)
@@ -413,7 +405,7 @@ def failed_of_map(row: MapRow) -> list[str]:
     standard = row.board == STANDARD_BOARD
     if row.refused:
         return ["refused"] if standard else []
-    wider = max(1.0, BOARDS[row.board].grid.pitch_mm / PITCH_MM)
+    wider = max(1.0, drawn.BOARDS[row.board].grid.pitch_mm / PITCH_MM)
     nothing = row.covered == 0
     kept = {
         "covered": row.covered >= LEAST_COVERED,

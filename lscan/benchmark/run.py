@@ -28,7 +28,8 @@ from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.figures import style
 from lscan.figures.page import page_template
-from lscan.files.disk import make_folder, write_atomically, write_json
+from lscan.files.disk import make_folder, write_atomically
+from lscan.files.jsonfiles import write_json
 from lscan.records import Progress
 from lscan.stripe import find_extractor
 from lscan.version import __version__
@@ -168,16 +169,9 @@ def _heat(axes: Axes, errors: Mapping[tuple[str, str], float], limits: tuple[flo
 
 
 MAPS = (
-    "graticule-1",
-    "graticule-2",
-    "graticule-2-norulers",
-    "graticule-bspline",
-    "projective",
-    "polynomial-3",
-    "polynomial-5",
-    "spline",
-    "refractive",
-)
+    "graticule-1", "graticule-2", "graticule-2-norulers", "graticule-bspline",
+    "projective", "polynomial-3", "polynomial-5", "spline", "refractive",
+)  # fmt: skip
 PICTURES, QUICK_PICTURES = 6, 3  # of each kind of line
 DRAWS, QUICK_DRAWS = 5, 2  # of the noise of each board's marks
 

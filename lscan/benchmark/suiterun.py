@@ -23,20 +23,13 @@ from scipy.stats import wilcoxon
 
 from lscan.acquisition.scan import require_guarded_main
 from lscan.benchmark.drawn import SHAPE, centres, draw, draw_worst
-from lscan.benchmark.judging import (
-    ROLES,
-    SUMS,
-    CaseResult,
-    CaseSums,
-    WorstColumn,
-    judge,
-    worst_of,
-)
+from lscan.benchmark.judging import ROLES, SUMS, CaseResult, CaseSums, WorstColumn, judge, worst_of
 from lscan.benchmark.methods import THRESHOLD_DN, cases
 from lscan.config.plugins import others_versions
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, read_json, write_atomically, write_json
+from lscan.files.disk import make_folder, write_atomically
+from lscan.files.jsonfiles import read_json, write_json
 from lscan.records import Floats, Progress, Status
 from lscan.suites import CaseTruth, SuiteCase, find_suite, open_suite
 
@@ -101,8 +94,7 @@ def run_suite(
     """
     (kind,) = {ROLES[role].cases for role in methods}
     shown, allowed = _IN_WORDS[kind]
-    named = [(role, name) for role, names in methods.items() for name in names]
-    if not named:
+    if not (named := [(role, name) for role, names in methods.items() for name in names]):
         raise InputError("nothing to judge", where="bench", allowed=allowed)
     for role, name in named:
         ROLES[role].judge(name)  # unknown ones are refused before any work
@@ -274,9 +266,8 @@ def suite_rows(run: SuiteRun, by: Sequence[str]) -> list[SuiteRow]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for case, axes in run.axes.items():
         if missing := [axis for axis in by if axis not in axes]:
-            raise InputError(
-                "no such axis", where="--by", value=missing[0], allowed=", ".join(axes)
-            )
+            what = "no such axis"
+            raise InputError(what, where="--by", value=missing[0], allowed=", ".join(axes))
         groups.setdefault(tuple(axes[axis] for axis in by), []).append(case)
     return [
         row_of(
@@ -306,20 +297,13 @@ def row_of(
     total = sum(sums.values(), CaseSums())
     bias, square = _share(total.error, total.core), _share(total.square, total.core)
     return SuiteRow(
-        name,
-        group,
-        len(sums),
-        bias,
+        name, group, len(sums), bias,
         math.sqrt(max(square - bias**2, 0.0)) if total.core else math.nan,
-        math.sqrt(_share(total.square, total.bound)),
-        1 - _share(total.missed, total.clear),
-        _share(total.outlying, total.valued),
-        _share(total.sure, total.valued),
-        _share(total.ghosts, total.dark),
-        _share(total.honest, total.valued),
-        math.exp(_share(total.log_z, total.core) - LOG_Z),
-        time,
-    )
+        math.sqrt(_share(total.square, total.bound)), 1 - _share(total.missed, total.clear),
+        _share(total.outlying, total.valued), _share(total.sure, total.valued),
+        _share(total.ghosts, total.dark), _share(total.honest, total.valued),
+        math.exp(_share(total.log_z, total.core) - LOG_Z), time,
+    )  # fmt: skip
 
 
 def _share(part: float, whole: float) -> float:
@@ -466,8 +450,7 @@ def before_and_after(now: Mapping[str, CaseSums], before: Mapping[str, CaseSums]
         value within three widths of the line
     """
     common = [case for case in sorted(now) if case in before and now[case].core]
-    common = [case for case in common if before[case].core]
-    if not common:
+    if not (common := [case for case in common if before[case].core]):
         return "no case of both has a column that counts"
 
     def rms(of: Mapping[str, CaseSums], cases: Sequence[str]) -> float:
@@ -657,8 +640,7 @@ def _in_both(
     saved = read_saved(file)
     if saved.suite != run.identity:
         raise InputError("is of another suite", where=file, value=saved.suite, allowed=run.identity)
-    both = [name for name in run.sums if name in saved.sums]
-    if not both:
+    if not (both := [name for name in run.sums if name in saved.sums]):
         allowed = ", ".join(saved.sums)
         raise InputError("has none of these extractors", where=file, allowed=allowed)
     return [(name, run.sums[name], saved.sums[name]) for name in both]

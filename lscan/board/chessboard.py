@@ -488,12 +488,9 @@ def _dictionary(name: str, needed: int) -> cv2.aruco.Dictionary:
         raise InputError("no such dictionary", where="dictionary", value=name, allowed=allowed)
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
     if len(dictionary.bytesList) < needed:
-        raise InputError(
-            f"has {len(dictionary.bytesList)} markers, the board {needed}",
-            where="dictionary",
-            value=name,
-            allowed="a larger dictionary, or fewer columns and rows",
-        )
+        what = f"has {len(dictionary.bytesList)} markers, the board {needed}"
+        allowed = "a larger dictionary, or fewer columns and rows"
+        raise InputError(what, where="dictionary", value=name, allowed=allowed)
     return dictionary
 
 

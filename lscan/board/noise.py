@@ -50,8 +50,7 @@ def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
     """
     smooth = np.asarray(cv2.GaussianBlur(bright, (0, 0), 1.0), dtype=np.float32)
     levels, variances = _plate_levels(bright, smooth, nodes, radius_px)
-    dot = _dot_level(bright, nodes)
-    if dot is not None:
+    if (dot := _dot_level(bright, nodes)) is not None:
         levels, variances = np.append(levels, dot[0]), np.append(variances, dot[1])
     order = np.argsort(levels)
     some = shrink(smooth, working_reduction(bright, radius_px))

@@ -50,11 +50,7 @@ ENOUGH = 0.9  # of the other marks in view: the board is not looked at any other
 
 
 def read_board(
-    image: NDArray[Any],
-    board: Board,
-    *,
-    seeds: Floats | None = None,
-    channel: Channel = "grey",
+    image: NDArray[Any], board: Board, *, seeds: Floats | None = None, channel: Channel = "grey"
 ) -> BoardReading:
     """All marks of the calibration board found in one picture (Sec. III.1 and III.3).
 
@@ -102,11 +98,9 @@ def read_board(
             )
         return reading
     if not board.grid.whole and (board.ruler or board.dot or board.ring):
-        raise InputError(
-            "rulers, dots and rings cannot be placed where the origin is whichever dot is seen",
-            where="board",
-            allowed="grid.whole = true, seeds that say which dot is O, or control points alone",
-        )
+        what = "rulers, dots and rings cannot be placed where the origin is whichever dot is seen"
+        allowed = "grid.whole = true, seeds that say which dot is O, or control points alone"
+        raise InputError(what, where="board", allowed=allowed)
     try:
         picture, nodes = _search_from_anywhere(bright, board)
     except BoardNotFound:
@@ -295,9 +289,5 @@ def _grid_marks(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, grid: Gr
     map_there = mapping.expanded(board)
     radius = map_there.scale * grid.dot_diameter_mm / 2
     in_view = picture.wholly_in_view(map_there.image_px, radius)
-    return Marks(
-        board_mm=board,
-        image_px=nodes.points.reshape(-1, 2),
-        sigma_px=nodes.sigma_px.ravel(),
-        status=mark_status(nodes.found.ravel(), in_view),
-    )
+    image_px, status = nodes.points.reshape(-1, 2), mark_status(nodes.found.ravel(), in_view)
+    return Marks(board_mm=board, image_px=image_px, sigma_px=nodes.sigma_px.ravel(), status=status)

@@ -9,21 +9,10 @@ import cv2
 import numpy as np
 from pydantic import Field
 
+from lscan.calibration.fields import STRICT, Count, NotNegative
 from lscan.calibration.maps.polynomial import box, terms
-from lscan.calibration.planemap import (
-    NOTHING_KNOWN,
-    STRICT,
-    Count,
-    NamedSolver,
-    NotNegative,
-    PlaneMap,
-    all_marks,
-    find_solver,
-    found_marks,
-    joined_marks,
-    spacing_px,
-    without,
-)
+from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
+from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, find_solver
 from lscan.camera.resection import MEDIAN, pixel_derivatives
 from lscan.config.plugins import others_versions
 from lscan.config.rig import OpticsSection
@@ -100,8 +89,7 @@ def outliers(reading: BoardReading) -> Mask:
     found = joined_marks(reading).found
     board_mm, image_px, _ = found_marks(all_marks(reading))
     wrong = np.zeros(len(found), dtype=bool)
-    both = _polynomial_terms(board_mm, image_px)
-    if both is not None:
+    if (both := _polynomial_terms(board_mm, image_px)) is not None:
         wrong[found] = _off_the_fit(*both, image_px, LEAST * spacing_px(reading))
     return wrong
 

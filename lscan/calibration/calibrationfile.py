@@ -23,10 +23,7 @@ from pydantic import (
 )
 
 from lscan.calibration.calibrate import Calibration, residuals
-from lscan.calibration.metric.planemap import Metric
-from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
-from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
-from lscan.calibration.planemap import (
+from lscan.calibration.fields import (
     STRICT,
     Count,
     FloatsWithGaps,
@@ -34,27 +31,21 @@ from lscan.calibration.planemap import (
     NotNegativeOrNaN,
     Number,
     Place,
-    PlaneMap,
     Sigmas,
     Vector,
     check_theta,
-    find_solver,
 )
+from lscan.calibration.metric.planemap import Metric
+from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
+from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
+from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.camera.posedboards import CAMERA, COUNT
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
-from lscan.files.disk import read_json, write_atomically
-from lscan.records import (
-    Axis,
-    BoardReading,
-    Ints,
-    Mark,
-    Marks,
-    RingPoints,
-    RulerReading,
-    Status,
-)
+from lscan.files.disk import write_atomically
+from lscan.files.jsonfiles import read_json
+from lscan.records import Axis, BoardReading, Ints, Mark, Marks, RingPoints, RulerReading, Status
 
 FORMAT: Final = "lscan-calibration"
 METRIC_FORMAT: Final = "lscan-metric-calibration"
@@ -236,11 +227,9 @@ def require_same_camera(
     document = views.document
     for key, known in (("optics", camera.optics), ("k3", camera.k3)):
         if key in document.model_fields_set and getattr(document, key) != known:
-            raise InputError(
-                "differs from what the camera was calibrated with",
-                where=f"{views.path}: {key}",
-                allowed=f"leave it out, or as in {where}",
-            )
+            what = "differs from what the camera was calibrated with"
+            allowed = f"leave it out, or as in {where}"
+            raise InputError(what, where=f"{views.path}: {key}", allowed=allowed)
 
 
 # What the files hold: the records, their arrays as lists and ``null`` for NaN.
@@ -503,8 +492,7 @@ def _content(path: Path, *models: type[File]) -> File:
     document = read_json(path, MOST_BYTES)
     kind = document.get("format") if isinstance(document, dict) else None
     formats = {model.model_fields["format"].default: model for model in models}
-    model = formats.get(str(kind))
-    if model is None:
+    if (model := formats.get(str(kind))) is None:
         wanted = next(iter(formats))
         what = f"is no {wanted.removeprefix('lscan-').replace('-', ' ')} file"
         raise InputError(what, where=path, value=kind, allowed=f'format "{wanted}"')

@@ -20,6 +20,7 @@ from scipy.special import chdtrc, ndtr
 from lscan.calibration.calibrate import Calibration, ScreenedReading, calibration_by
 from lscan.calibration.calibrationfile import AnyCalibration
 from lscan.calibration.maps.auto import Auto
+from lscan.calibration.marks import all_marks, found_marks
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.offsheet import Similarity, fit_similarity
 from lscan.calibration.physical import PhysicalMap
@@ -29,8 +30,6 @@ from lscan.calibration.planemap import (
     PlaneMap,
     SheetCorrection,
     SolvedMap,
-    all_marks,
-    found_marks,
 )
 from lscan.camera.optics import stated_water
 from lscan.camera.posedboards import LIMITS, WATER
@@ -172,12 +171,8 @@ def _in_stated_water(solved: SolvedMap, optics: OpticsSection) -> SolvedMap:
 def _with_changes_since(solved: SolvedMap, since: SinceSection) -> SolvedMap:
     if isinstance(solved, PhysicalMap):
         return solved.with_changes_since(since)
-    raise InputError(
-        "says of the rig what this plane map knows nothing of",
-        where="since_calibration",
-        value=solved.name,
-        allowed=ALLOWED,
-    )
+    what = "says of the rig what this plane map knows nothing of"
+    raise InputError(what, where="since_calibration", value=solved.name, allowed=ALLOWED)
 
 
 # An old calibration against a new picture of the board: does it still hold, and what corrects it?
@@ -325,23 +320,16 @@ def require_comparable(
     """
     size = calibration.image_size
     if tuple(reading.image_size) != tuple(size):
-        raise InputError(
-            "the picture is not of the size of the calibration's",
-            where="image size",
-            value=tuple(reading.image_size),
-            allowed=f"{size[0]} x {size[1]} px",
-        )
+        what = "the picture is not of the size of the calibration's"
+        allowed = f"{size[0]} x {size[1]} px"
+        raise InputError(what, where="image size", value=tuple(reading.image_size), allowed=allowed)
     if placed_mm is not None and not 0 <= placed_mm < np.inf:
-        raise InputError(
-            "bad uncertainty", where="placed_mm", value=placed_mm, allowed="0 mm or more"
-        )
+        what = "bad uncertainty"
+        raise InputError(what, where="placed_mm", value=placed_mm, allowed="0 mm or more")
     if placed_mm is not None and not isinstance(calibration, Calibration):
-        raise InputError(
-            "the frame of a metric calibration is not the board's: its shift cannot be judged",
-            where="placed_mm",
-            value=placed_mm,
-            allowed="a calibration from one picture of the board",
-        )
+        what = "the frame of a metric calibration is not the board's: its shift cannot be judged"
+        allowed = "a calibration from one picture of the board"
+        raise InputError(what, where="placed_mm", value=placed_mm, allowed=allowed)
 
 
 def _named_marks(reading: BoardReading) -> tuple[np.ndarray, Floats, Floats, Floats]:
@@ -557,11 +545,9 @@ def corrected_calibration(
     """
     require_comparable(calibration, reading, placed_mm)
     if "shift" in kinds and placed_mm is None:
-        raise InputError(
-            "a shift cannot be told from how the board was put back",
-            where="placed_mm",
-            allowed="its standard uncertainty, of a calibration from one picture of the board",
-        )
+        what = "a shift cannot be told from how the board was put back"
+        allowed = "its standard uncertainty, of a calibration from one picture of the board"
+        raise InputError(what, where="placed_mm", allowed=allowed)
     plane_map = in_water_of(calibration.plane_map, optics or NOTHING_KNOWN)
     for kind in kinds:
         plane_map = _with(plane_map, kind, compare(plane_map, reading), placed_mm or 0.0)
@@ -593,9 +579,8 @@ def _with(
             return _with_index(solved, marks)
         if kind == "scale":
             if abs(fit.scale) > MOST_SCALE:
-                raise MeasurementError(
-                    f"lengths are off by {100 * fit.scale:+.0f} %: it is another board, or file"
-                )
+                what = f"lengths are off by {100 * fit.scale:+.0f} %: it is another board, or file"
+                raise MeasurementError(what)
             correction = SheetCorrection(
                 middle_mm=middle, scale=fit.scale, scale_sigma=marks.scale_sigma
             )
@@ -608,11 +593,8 @@ def _with(
 
     changed = with_chosen(plane_map, correct)
     if changed is plane_map:
-        raise InputError(
-            "plane map of another package: it cannot be corrected here",
-            where="plane map",
-            value=plane_map.name,
-        )
+        what = "plane map of another package: it cannot be corrected here"
+        raise InputError(what, where="plane map", value=plane_map.name)
     return changed
 
 
@@ -623,12 +605,9 @@ def _with_index(solved: SolvedMap, marks: ComparedMarks) -> SolvedMap:
     not carried back.
     """
     if not isinstance(solved, PhysicalMap) or solved.geometry.port == "none":
-        raise InputError(
-            "this plane map has no index of the water to correct",
-            where="plane map",
-            value=solved.name,
-            allowed='"scale" or "shift", or a refractive or metric map behind a port',
-        )
+        what = "this plane map has no index of the water to correct"
+        allowed = '"scale" or "shift", or a refractive or metric map behind a port'
+        raise InputError(what, where="plane map", value=solved.name, allowed=allowed)
     found = find_index(solved, marks.nominal_mm, marks.image_px, marks.sigma_px)
     moved = solved.in_water((found.index, found.sigma))
     return moved.model_copy(update={"stated_water": solved.stated_water})

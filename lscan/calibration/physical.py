@@ -13,7 +13,8 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander, chebvander2d
 from pydantic import PrivateAttr
 
-from lscan.calibration.planemap import Estimate, Region, SolvedMap, estimate_of
+from lscan.calibration.marks import Region
+from lscan.calibration.planemap import Estimate, SolvedMap, estimate_of
 from lscan.camera import rays
 from lscan.camera.optics import meet_plane
 from lscan.camera.posedboards import CAMERA, PortKind, camera_of, rotation

@@ -6,32 +6,20 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
 from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from pydantic import (
-    AfterValidator,
-    ConfigDict,
-    Field,
-    PlainSerializer,
-    PlainValidator,
-    PrivateAttr,
-    TypeAdapter,
-    WrapValidator,
-)
-from scipy.spatial import ConvexHull, QhullError
+from pydantic import Field, PrivateAttr
 
+from lscan.calibration.fields import NotNegative, Number, Pair, Place
+from lscan.calibration.marks import Region, found_marks
 from lscan.camera.optics import require_columns, stated_water
-from lscan.camera.posedboards import LIMITS
-from lscan.camera.resection import BoardMarks
 from lscan.config.documents import Strict, check
 from lscan.config.plugins import find_plugin
 from lscan.config.rig import OpticsSection
-from lscan.errors import BoardNotFound, InputError, MeasurementError
-from lscan.records import BoardReading, Floats, Marks, Mask, PlanePoints, Status
+from lscan.errors import InputError
+from lscan.records import BoardReading, Floats, Mask, PlanePoints, Status
 
 # What a plane map is, and how one is found by name.
 
@@ -70,7 +58,7 @@ class PlaneMap(Protocol):
         PlanePoints
             Its uncertainty combines that of the pixels with that of the map.  A pixel that is NaN
             has no value and the status NO_DATA (only the caller knows why it is NaN); one outside
-            the covered region (region.py) has the status OUT_OF_BOARD and no number.
+            the covered region (marks.py) has the status OUT_OF_BOARD and no number.
 
         Raises
         ------
@@ -195,8 +183,7 @@ class NamedSolver:
             As ``solve``.
         """
         quick = getattr(self.solver, "bare", self.solver.solve)
-        solved: PlaneMap = quick(reading, self.variant, optics or NOTHING_KNOWN)
-        return solved
+        return quick(reading, self.variant, optics or NOTHING_KNOWN)
 
     def restore(self, parameters: dict[str, Any]) -> PlaneMap:
         """The map of this name that parameters came from.
@@ -232,351 +219,6 @@ def find_solver(name: str) -> NamedSolver:
     """
     family, _, variant = name.partition("-")
     return NamedSolver(name, find_plugin("lscan.planemaps", family, where="plane map"), variant)
-
-
-# Arrays and numbers as a calibration file holds them: lists of finite JSON numbers.
-#
-# The dataclasses that maps are made of use these types for their fields, so that one declaration
-# serves the program and the strict reading of its files.
-
-
-STRICT = ConfigDict(extra="forbid")
-Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
-Count = Annotated[int, Field(strict=True, ge=0)]
-
-
-_LISTS: TypeAdapter[Any] = TypeAdapter(list[Number | None] | list[list[Number | None]])
-_ALLOWED = {
-    1: "a list of finite numbers",
-    2: "rows of finite numbers, all of one length",
-    None: "finite numbers or nulls, all rows of one length",
-}
-
-
-def _array(value: Any, dimensions: int | None) -> Floats:
-    """An array of what JSON holds; dimensions None: 1 or 2, with ``null`` for NaN."""
-    try:
-        lists = value if isinstance(value, np.ndarray) else _LISTS.validate_python(value)
-        array: Floats = np.asarray(lists, dtype=float)
-        if dimensions and (array.ndim != dimensions or not np.isfinite(array).all()):
-            raise ValueError
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"must be {_ALLOWED[dimensions]}") from error
-    return array
-
-
-def of_length(count: int) -> AfterValidator:
-    """The rule for a field that its array holds so many numbers, or rows.
-
-    Parameters
-    ----------
-    count : int, how many
-    """
-
-    def check(array: Floats) -> Floats:
-        if len(array) != count:
-            raise ValueError(f"must be of length {count}, not {len(array)}")
-        return array
-
-    return AfterValidator(check)
-
-
-def none_negative(array: Floats) -> Floats:
-    """The array, which must hold no number below 0.
-
-    Parameters
-    ----------
-    array : (...) array, NaN for a gap
-
-    Raises
-    ------
-    ValueError
-        Where it does.
-    """
-    if (array < 0).any():
-        raise ValueError("must hold no number below 0")
-    return array
-
-
-def _plain(array: Floats) -> list[Any]:
-    """As lists, ``null`` for NaN."""
-    plain = array.astype(object)
-    plain[np.isnan(array)] = None
-    return plain.tolist()
-
-
-Vector = Annotated[Floats, PlainValidator(partial(_array, dimensions=1)), PlainSerializer(_plain)]
-Matrix = Annotated[Floats, PlainValidator(partial(_array, dimensions=2)), PlainSerializer(_plain)]
-FloatsWithGaps = Annotated[
-    Floats, PlainValidator(partial(_array, dimensions=None)), PlainSerializer(_plain)
-]
-"""``null`` in the file for NaN."""
-NotNegativeOrNaN = Annotated[
-    NotNegative,
-    WrapValidator(lambda value, read: np.nan if value is None or value != value else read(value)),
-    PlainSerializer(lambda value: None if np.isnan(value) else value),
-]
-"""``null`` in the file for NaN."""
-Place = Annotated[Vector, of_length(2)]
-Pair = Annotated[Place, AfterValidator(none_negative)]
-Sigmas = Annotated[FloatsWithGaps, AfterValidator(none_negative)]
-
-
-def check_covariance(covariance: Floats, count: int) -> None:
-    """Refuse what is no covariance.
-
-    Parameters
-    ----------
-    covariance : array, to be symmetric, without a negative variance
-    count : int, number of rows and of columns it must have
-
-    Raises
-    ------
-    ValueError
-        Says what is wrong with it.
-    """
-    if covariance.shape != (count, count):
-        raise ValueError(f"covariance must be {count} by {count}, got {covariance.shape}")
-    scale = np.abs(covariance).max(initial=0.0)
-    if np.abs(covariance - covariance.T).max(initial=0.0) > 1e-9 * scale:
-        raise ValueError("covariance must be symmetric")
-    if covariance.diagonal().min(initial=0.0) < 0:
-        raise ValueError("covariance must have no negative variance")
-
-
-def check_theta(theta: dict[str, float], names: Sequence[str]) -> dict[str, float]:
-    """The parameters of a camera, which must have the right names and ranges.
-
-    Parameters
-    ----------
-    theta : dict of float, by name
-    names : sequence of str, those it must have, in order
-
-    Raises
-    ------
-    ValueError
-        Where a name differs, or a value lies outside the camera's LIMITS.
-    """
-    if tuple(theta) != tuple(names):
-        raise ValueError(f"theta must hold {', '.join(names)}")
-    for name, (low, high) in LIMITS.items():
-        if not low <= theta[name] <= high:
-            raise ValueError(f"theta.{name} must be {low:g} to {high:g}")
-    return theta
-
-
-# The covered part of the picture: where a plane map may be used.
-#
-# One rule for all maps: a pixel is covered where it lies in the convex hull of the control points
-# that the map rests on, or outside it by no more than a twentieth of the spacing of neighbouring
-# control points.  On the paper's board that margin is 2.5 mm, a dot's radius. Elsewhere a map gives
-# OUT_OF_BOARD and no number: it never extrapolates.
-
-
-MARGIN = 0.05  # of the spacing of neighbouring control points
-
-
-@dataclass(frozen=True)
-class Region:
-    """A convex polygon in the picture, grown by a margin.
-
-    Attributes
-    ----------
-    outline_px : (K, 2) array, px, corners (u, v), each edge's inside on its left in a frame with u
-        to the right and v up
-    margin_px : float, px, how far outside an edge still counts as inside; below 0, how far within
-        it a pixel must lie
-    """
-
-    __pydantic_config__ = STRICT
-    outline_px: Matrix
-    margin_px: NotNegative
-
-    def __post_init__(self) -> None:
-        """Raise ValueError unless the outline is a convex polygon turning left."""
-        if self.outline_px.ndim != 2 or self.outline_px.shape[1] != 2 or len(self.outline_px) < 3:
-            raise ValueError("outline_px must be at least three corners (u, v)")
-        edge = np.roll(self.outline_px, -1, axis=0) - self.outline_px
-        after = np.roll(edge, -1, axis=0)
-        if np.any(edge[:, 0] * after[:, 1] - edge[:, 1] * after[:, 0] <= 0):
-            raise ValueError("outline_px must be a convex polygon")
-
-    @cached_property
-    def _outward(self) -> Floats:
-        edge = np.roll(self.outline_px, -1, axis=0) - self.outline_px
-        normal = np.column_stack([edge[:, 1], -edge[:, 0]])
-        return normal / np.linalg.norm(normal, axis=1)[:, None]
-
-    @property
-    def bounds_px(self) -> tuple[Floats, Floats]:
-        """(2,) px, the least and the greatest (u, v) in the region."""
-        return (
-            self.outline_px.min(axis=0) - self.margin_px,
-            self.outline_px.max(axis=0) + self.margin_px,
-        )
-
-    def covers(self, image_px: Floats) -> Mask:
-        """(N,) mask of the pixels that lie in the region.
-
-        Parameters
-        ----------
-        image_px : (N, 2) array, px, of (u, v), finite
-        """
-        outwards = np.full(len(image_px), -np.inf)
-        u, v = image_px.T
-        for (by_u, by_v), (at_u, at_v) in zip(self._outward, self.outline_px, strict=True):
-            np.maximum(outwards, by_u * (u - at_u) + by_v * (v - at_v), out=outwards)
-        return outwards <= self.margin_px
-
-
-def covered_region(reading: BoardReading, used: Mask) -> Region:
-    """The region covered by the control points that a map rests on.
-
-    Parameters
-    ----------
-    reading : BoardReading, px, of N control points
-    used : (N,) mask, over ``reading.grid``
-
-    Raises
-    ------
-    BoardNotFound
-        Where they do not span an area or where no two are neighbours.
-    """
-    points = reading.grid.image_px[used]
-    try:
-        return region_around(points, MARGIN * spacing_px(reading))
-    except MeasurementError as error:
-        raise BoardNotFound(f"{len(points)} control points found: they span no area") from error
-
-
-def region_around(image_px: Floats, margin_px: float = 0.0) -> Region:
-    """The convex hull of pixels.
-
-    Parameters
-    ----------
-    image_px : (N, 2) array, px, of (u, v)
-    margin_px : float, px, grown by; below 0: made smaller by
-
-    Raises
-    ------
-    MeasurementError
-        Where they span no area.
-    """
-    try:
-        hull = ConvexHull(image_px)
-    except (QhullError, ValueError) as error:
-        raise MeasurementError("the marks and the line span no area of the picture") from error
-    return Region(image_px[hull.vertices], margin_px)
-
-
-def spacing_px(reading: BoardReading) -> float:
-    """Median distance in px of neighbouring control points that were found.
-
-    Parameters
-    ----------
-    reading : BoardReading, px
-
-    Raises
-    ------
-    BoardNotFound
-        Where no two neighbours were found.
-    """
-    lattice = reading.grid.image_px.reshape(*reading.shape, 2)
-    steps = [np.diff(lattice, axis=axis).reshape(-1, 2) for axis in (0, 1)]
-    distances = np.linalg.norm(np.vstack(steps), axis=1)
-    known = distances[np.isfinite(distances)]
-    if not len(known):
-        raise BoardNotFound("no two neighbouring control points were found")
-    return float(np.median(known))
-
-
-# The marks of a board reading, control points and rulers together.
-
-
-LEAST_SIGMA_PX = 0.002  # a quarter of what is reached in an 8-bit picture; ours
-
-
-def all_marks(reading: BoardReading) -> list[Marks]:
-    """The control points, then the marks of each ruler.
-
-    Parameters
-    ----------
-    reading : BoardReading, px and mm
-    """
-    return [reading.grid, *(ruler.marks for ruler in reading.rulers)]
-
-
-def joined_marks(reading: BoardReading) -> Marks:
-    """``all_marks`` as one, N of them.
-
-    Parameters
-    ----------
-    reading : BoardReading, px and mm
-    """
-    columns = zip(*(vars(marks).values() for marks in all_marks(reading)), strict=True)
-    return Marks(*map(np.concatenate, columns))
-
-
-def with_marks(reading: BoardReading, marks: Marks) -> BoardReading:
-    """The reading with other marks on its board.
-
-    Parameters
-    ----------
-    reading : BoardReading
-    marks : Marks, N of them, in the order of ``joined_marks``
-    """
-    ends = np.cumsum([len(own.status) for own in all_marks(reading)])[:-1]
-    grid, *on_rulers = map(Marks, *(np.split(column, ends) for column in vars(marks).values()))
-    pairs = zip(reading.rulers, on_rulers, strict=True)
-    rulers = tuple(replace(ruler, marks=own) for ruler, own in pairs)
-    return replace(reading, grid=grid, rulers=rulers)
-
-
-def found_marks(several: Sequence[Marks]) -> tuple[Floats, Floats, Floats]:
-    """board_mm (N, 2), image_px (N, 2) and sigma_px (N,) of all marks found, in order.
-
-    Parameters
-    ----------
-    several : sequence of Marks, mm and px
-    """
-    return (
-        np.vstack([marks.board_mm[marks.found] for marks in several]),
-        np.vstack([marks.image_px[marks.found] for marks in several]),
-        np.concatenate([marks.sigma_px[marks.found] for marks in several]),
-    )
-
-
-def found_on(several: Sequence[Marks], board: Sequence[int]) -> BoardMarks:
-    """The marks that were found in several readings, each of the board of that number.
-
-    Parameters
-    ----------
-    several : sequence of Marks, one a reading; sigma_px below LEAST_SIGMA_PX counts as that
-    board : sequence of int, number of each reading's board
-    """
-    board_mm, image_px, sigma_px = found_marks(several)
-    numbers = np.repeat(board, [int(marks.found.sum()) for marks in several])
-    return BoardMarks(board_mm, image_px, np.maximum(sigma_px, LEAST_SIGMA_PX), numbers)
-
-
-def without(reading: BoardReading, left_out: Mask) -> BoardReading:
-    """The reading as if some of its marks were not found.
-
-    Parameters
-    ----------
-    reading : BoardReading, of N marks
-    left_out : (N,) mask, in the order of ``all_marks``
-    """
-    marks = joined_marks(reading)
-    hide = left_out & marks.found
-    marks = replace(
-        marks,
-        image_px=np.where(hide[:, None], np.nan, marks.image_px),
-        sigma_px=np.where(hide, np.nan, marks.sigma_px),
-        status=np.where(hide, int(Status.NOT_FOUND), marks.status),
-    )
-    return with_marks(reading, marks)
 
 
 # The estimate that a plane map gives for pixels, and how its uncertainty is put together.
@@ -678,8 +320,7 @@ class SheetCorrection(Strict):
         own[:, :, 0] = -factor * self.scale_sigma * arm
         own[:, [0, 1], [1, 2]] = factor * self.shift_sigma_mm
         variance = factor**2 * estimate.variance_mm2 + (own**2).sum(axis=2)
-        modes = estimate.modes_mm
-        if modes is not None:
+        if (modes := estimate.modes_mm) is not None:
             modes = np.concatenate([factor * modes, own], axis=2)
         return Estimate(self.middle_mm + arm, variance, modes)
 
@@ -721,7 +362,7 @@ class SolvedMap(Strict, ABC):
         """
 
     def to_plane(self, image_px: Floats, sigma_px: Floats | None = None) -> PlanePoints:
-        """Points in the sheet, (N, 2) mm in the plane frame, of pixels, as api.PlaneMap promises.
+        """Points in the sheet, (N, 2) mm in the plane frame, of pixels, as PlaneMap promises.
 
         sigma_mm combines the pixel's uncertainty, that of the map's parameters, and the map's
         mean lack of fit.  A NaN pixel has the status NO_DATA.
@@ -783,8 +424,7 @@ class SolvedMap(Strict, ABC):
 
     def parameters(self) -> dict[str, Any]:
         """The fields as JSON types."""
-        dumped: dict[str, Any] = self.model_dump(mode="json")
-        return dumped
+        return self.model_dump(mode="json")
 
 
 Solved = TypeVar("Solved", bound=SolvedMap)
@@ -950,18 +590,13 @@ def _sigma_or_zero(image_px: Floats, sigma_px: Floats | None) -> Floats:
         return np.zeros(len(image_px))
     sigma = np.asarray(sigma_px, dtype=float)
     if sigma.shape != image_px.shape[:1]:
-        raise InputError(
-            "bad shape", where="sigma_px", value=sigma.shape, allowed=f"({len(image_px)},)"
-        )
+        what = "bad shape"
+        raise InputError(what, where="sigma_px", value=sigma.shape, allowed=f"({len(image_px)},)")
     bad = np.isfinite(image_px).all(axis=1) & ~((sigma >= 0) & np.isfinite(sigma))
     if bad.any():
         first = int(np.flatnonzero(bad)[0])
-        raise InputError(
-            "bad uncertainty",
-            where=f"sigma_px[{first}]",
-            value=float(sigma[first]),
-            allowed="a finite number not below 0",
-        )
+        where, allowed = f"sigma_px[{first}]", "a finite number not below 0"
+        raise InputError("bad uncertainty", where=where, value=float(sigma[first]), allowed=allowed)
     return sigma
 
 

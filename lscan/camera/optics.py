@@ -301,8 +301,7 @@ def leave_port_derivatives(
 
 def _root(square: Floats) -> Floats:
     """(N,) square roots; NaN of what is below 0: an index below 1 may reflect all of a ray."""
-    root: Floats = np.sqrt(np.where(square >= 0, square, np.nan))
-    return root
+    return np.sqrt(np.where(square >= 0, square, np.nan))
 
 
 def aim_through_port(port: PortModel, points_mm: Floats) -> Floats:

@@ -128,12 +128,8 @@ def priors_of(
             sigma[index] = np.inf
         low, high = LEAST[index], GREATEST[index]
         if not (np.isfinite(mean[index]) and low <= mean[index] <= high):
-            raise InputError(
-                "out of range",
-                where="k3" if name == "k3" else f"optics.{name}",
-                value=float(mean[index]),
-                allowed=f"{low:g} to {high:g}",
-            )
+            where, allowed = "k3" if name == "k3" else f"optics.{name}", f"{low:g} to {high:g}"
+            raise InputError("out of range", where=where, value=float(mean[index]), allowed=allowed)
     if optics.port == "none":
         mean[WATER] = 1.0
         sigma[len(LENS) :] = 0.0
@@ -304,8 +300,7 @@ def rotation(vector: Floats) -> Floats:
     half = np.sqrt(x * x + y * y + z * z)[..., None, None] / 2
     # sin(a) / a and (1 - cos(a)) / a^2, which are 1 and 1/2 at 0
     straight, square = np.sinc(2 * half / np.pi), np.sinc(half / np.pi) ** 2 / 2
-    turns: Floats = np.eye(3) + straight * cross + square * (cross @ cross)
-    return turns
+    return np.eye(3) + straight * cross + square * (cross @ cross)
 
 
 # How rays and projections change with the camera and with the poses of the boards.

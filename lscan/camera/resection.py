@@ -384,8 +384,7 @@ def best_start(
     robust = START_PX / float(np.median(marks.sigma_px))
     best, least = None, np.inf
     for focal in focals:
-        posed = posed_boards(np.array([focal, *priors.mean[1:]]), port, marks)
-        if posed is None:
+        if (posed := posed_boards(np.array([focal, *priors.mean[1:]]), port, marks)) is None:
             continue
         tried = fit_within_limits(posed, marks, priors, TOLERANCE, robust, EVALUATIONS)
         size = float(np.median(marks.lengths(tried)))
@@ -414,8 +413,7 @@ def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoard
     alone = PosedBoards(theta[:COUNT], marks.board_mm.mean(axis=0), port)
     poses = []
     for number in range(int(marks.board.max()) + 1):
-        pose = _pose(alone, select(marks, marks.board == number))
-        if pose is None:
+        if (pose := _pose(alone, select(marks, marks.board == number))) is None:
             return None
         poses.append(pose)
     return PosedBoards(np.concatenate([alone.theta, *poses]), alone.centre_mm, port)

@@ -129,8 +129,7 @@ def _end_with_run(
     if not compared and (against is not None or len(run.sums) > 1):
         lines.append("nothing differs")
     show({**content, "differences": changed}, *lines, str(output / "bench.json"), json=json)
-    worse = sum(one.worse for one in changed)
-    if worse:
+    if worse := sum(one.worse for one in changed):
         figures = "1 figure is" if worse == 1 else f"{worse} figures are"
         print(f"lscan: {figures} worse than in {against}", file=sys.stderr)
         raise typer.Exit(1)

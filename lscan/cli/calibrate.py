@@ -221,12 +221,11 @@ def calibrate_metric(
     used = f"{sum(view.used for view in calibration.views)} of {len(calibration.views)} views"
     used += f", {calibration.rms_px:.3f} px rms"
     content: dict[str, Any] = {"map": None, "rms_px": calibration.rms_px, "line_rms_mm": None}
+    files.save_calibration(output, calibration)
     if isinstance(calibration, metric.CameraCalibration):
-        files.save_calibration(output, calibration)
         focal, sigma = calibration.theta[0], calibration.sigma[0]
         words = f"camera: {used}; focal length {focal:.1f} ± {sigma:.1f} px"
     else:
-        files.save_calibration(output, calibration)
         content |= {"map": calibration.plane_map.name, "line_rms_mm": calibration.line_rms_mm}
         lines = sum(view.line_used for view in calibration.views)
         off = f"{calibration.line_rms_mm:.3f} mm rms off the sheet"

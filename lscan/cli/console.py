@@ -1,4 +1,4 @@
-"""What the two command lines share: commands loaded when called, errors, bars, what is printed."""
+"""What the two command lines share: commands loaded when run, errors, bars, what is printed."""
 
 import ast
 import ctypes
@@ -7,8 +7,9 @@ import os
 import sys
 import time
 from collections import UserDict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
+from functools import wraps
 from importlib import resources
 from pathlib import Path
 from pkgutil import resolve_name
@@ -23,7 +24,8 @@ from typer.core import TyperGroup
 
 from lscan.devices.signals import ignore_stop_signals, interrupted_by_signals, on_stop_signals
 from lscan.errors import InputError, LscanError, Stopped, missing_package
-from lscan.files.disk import json_text, long_work_shown
+from lscan.files.cache import long_work_shown
+from lscan.files.jsonfiles import json_text
 from lscan.records import Progress
 from lscan.version import __version__
 
@@ -72,20 +74,49 @@ class _Commands(UserDict[str, Any]):
     def __getitem__(self, name: str) -> Any:
         if isinstance(found := self.data[name], str):
             alone = typer.Typer(add_completion=False, rich_markup_mode=None)
-            alone.command(name)(resolve_name(found))
+            alone.command(name)(_declared_command(found))
             self.data[name] = found = typer.main.get_command(alone)
         return found
 
-    def about(self, name: str) -> str:
-        """What a command does, in a sentence; one that is not loaded is not loaded for it."""
-        if not isinstance(found := self.data[name], str):
-            return str(found.get_short_help_str(limit=1000))
-        module, _, function = found.partition(":")
-        package, _, stem = module.rpartition(".")
-        tree = ast.parse((resources.files(package) / f"{stem}.py").read_text(encoding="utf-8"))
-        parts = {part.name: part for part in tree.body if isinstance(part, ast.FunctionDef)}
-        first, *_ = (ast.get_docstring(parts[function]) or "").split("\n\n")
-        return " ".join(first.split())
+
+def _declared_command(place: str) -> Callable[..., None]:
+    """A function with the parameters and help of the one at ``place``, which it loads and calls.
+
+    Of that one's module it runs what the parameters name, and neither loads nor runs the rest:
+    help and refused options need no SciPy.
+    """
+    module, _, function = place.partition(":")
+    package, _, stem = module.rpartition(".")
+    tree = ast.parse((resources.files(package) / f"{stem}.py").read_text(encoding="utf-8"))
+    makers = {name: part for part in tree.body for name in _names_made(part)}
+    declared = makers[function]
+    assert isinstance(declared, ast.FunctionDef)
+    del declared.body[1:]  # leaves the docstring
+    needed, left = set[ast.stmt](), list[ast.stmt]([declared])
+    while left:
+        needed.add(part := left.pop())
+        named = {makers.get(node.id) for node in ast.walk(part) if isinstance(node, ast.Name)}
+        left += [maker for maker in named if maker and maker not in needed]
+    tree.body = [part for part in tree.body if part in needed]
+    names: dict[str, Any] = {"__name__": module}
+    exec(compile(tree, module, "exec"), names)
+
+    @wraps(names[function])
+    def call(**given: Any) -> None:
+        resolve_name(place)(**given)
+
+    return call
+
+
+def _names_made(part: ast.stmt) -> list[str]:
+    """The names that a statement of a module gives it."""
+    if isinstance(part, ast.Import | ast.ImportFrom):
+        return [alias.asname or alias.name for alias in part.names]
+    if isinstance(part, ast.FunctionDef | ast.ClassDef):
+        return [part.name]
+    return [
+        n.id for n in ast.walk(part) if isinstance(n, ast.Name) and isinstance(n.ctx, ast.Store)
+    ]
 
 
 def command_line(about: str, places: Mapping[str, str] | None = None) -> typer.Typer:
@@ -96,7 +127,7 @@ def command_line(about: str, places: Mapping[str, str] | None = None) -> typer.T
     about : str, what its ``--help`` begins with
     places : mapping
         Of each command's name, ``module:function``.  A module is loaded when one of its commands
-        is called, so that it may import what it needs at its top.
+        is run, not for its help, so that it may import what it needs at its top.
     """
 
     class Group(TyperGroup):
@@ -111,7 +142,8 @@ def command_line(about: str, places: Mapping[str, str] | None = None) -> typer.T
         def format_commands(self, ctx: Any, formatter: Any) -> None:
             """Write the list; called by click."""
             with formatter.section("Commands"):
-                formatter.write_dl([(name, self.commands.about(name)) for name in self.commands])
+                about = [one.get_short_help_str(limit=1000) for one in self.commands.values()]
+                formatter.write_dl([*zip(self.commands, about, strict=True)])
 
     return typer.Typer(
         cls=Group,
@@ -196,8 +228,7 @@ def run_command_line(app: typer.Typer, name: str) -> None:
         if type(error).__name__ == "NoArgsIsHelpError":
             print(error)
             sys.exit(BAD_INPUT)
-        format_message = getattr(error, "format_message", None)
-        if format_message is None:
+        if (format_message := getattr(error, "format_message", None)) is None:
             raise
         _leave(name, " ".join(format_message().split()), BAD_INPUT)
     if code == STOPPED:  # what typer makes of Ctrl-C

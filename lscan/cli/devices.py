@@ -76,8 +76,7 @@ def _listing_lines(listing: dict[str, Any]) -> Iterator[str | Table]:
             yield f"{camera.device} is also {name}, whatever its number becomes"
     else:
         yield "cameras: none found"
-    ports = listing["serial_ports"]
-    if ports:
+    if ports := listing["serial_ports"]:
         rows = [[port.device, port.description] for port in ports]
         yield table("serial ports", ["device", "description"], rows)
     else:

@@ -64,8 +64,7 @@ def parse_seeds(text: str | None) -> Floats | None:
     """(3, 2) px of "u1,v1,u2,v2,u3,v3", None for None; InputError where it is neither."""
     if text is None:
         return None
-    numbers = parse_numbers(text.replace(";", ","), 6)
-    if numbers is None:
+    if (numbers := parse_numbers(text.replace(";", ","), 6)) is None:
         allowed = "u1,v1,u2,v2,u3,v3 in px"
         raise InputError("not three points", where="--seeds", value=text, allowed=allowed)
     return np.array(numbers).reshape(3, 2)

@@ -122,18 +122,14 @@ def _stated_response(
         )  # fmt: skip
     if not pixel_mm:
         corrected_px = 0.0
-    if blur_mm is None:
-        blur_mm = corrected_px * pixel_mm
+    blur_mm = corrected_px * pixel_mm if blur_mm is None else blur_mm
     return ScannerResponse(
         sheet_mm / MM_PER_CM, blur_mm / MM_PER_CM, pixel_mm / MM_PER_CM, corrected_px=corrected_px
     )
 
 
 def _backscatter(
-    found: Roughness,
-    ground: Sediment,
-    frequencies: list[float] | None,
-    angles: list[float] | None,
+    found: Roughness, ground: Sediment, frequencies: list[float] | None, angles: list[float] | None
 ) -> list[dict[str, float]]:
     """One row for each frequency and angle."""
     rows = []

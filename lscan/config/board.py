@@ -128,15 +128,12 @@ class Board(Strict):
     @model_validator(mode="after")
     def _names_known_and_unique(self) -> Self:
         names = [dot.name for dot in self.dot] + [ring.name for ring in self.ring]
-        twice = {name for name in names if names.count(name) > 1}
-        if twice:
+        if twice := {name for name in names if names.count(name) > 1}:
             raise ValueError(f"names used twice: {sorted(twice)}")
         dots = {dot.name for dot in self.dot}
-        unknown = {name for pair in self.distances for name in pair} - dots
-        if unknown:
+        if unknown := {name for pair in self.distances for name in pair} - dots:
             raise ValueError(f"distances name unknown dots: {sorted(unknown)}")
-        to_itself = [first for first, second in self.distances if first == second]
-        if to_itself:
+        if to_itself := [first for first, second in self.distances if first == second]:
             raise ValueError(f"distances from a dot to itself: {to_itself}")
         return self
 

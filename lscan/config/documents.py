@@ -28,15 +28,8 @@ from pydantic_core import CoreSchema, ErrorDetails
 
 from lscan.config.scenes import included_file, scene_file
 from lscan.errors import InputError
-from lscan.files.disk import (
-    MOST_LEVELS,
-    TOO_DEEP,
-    check_values,
-    content_sha256,
-    dotted,
-    read_text,
-    write_atomically,
-)
+from lscan.files.disk import content_sha256, read_text, write_atomically
+from lscan.files.jsonfiles import MOST_LEVELS, TOO_DEEP, check_values, dotted
 
 # What a field of a file's model may hold: read from the model's types, said in words.
 
@@ -109,8 +102,7 @@ def trace(model: Any, place: Keys) -> tuple[Keys, Any]:
     keys: list[str | int] = []
     here: Any = model
     for part in place:
-        inner = _member(here, part)
-        if inner is not None:
+        if (inner := _member(here, part)) is not None:
             here = inner
             keys.append(part)
         else:
@@ -325,12 +317,9 @@ def _exclude(included: Document, name: str, source: Path) -> None:
     table = _value_at(included, tuple(tables))
     if not isinstance(table, dict) or key not in table:
         there = ", ".join(sorted(included)) or "nothing, for the file includes none"
-        raise InputError(
-            "exclude: is not in what the file includes",
-            where=source,
-            value=name,
-            allowed=f"{there}; a key of a table as table.key",
-        )
+        what = "exclude: is not in what the file includes"
+        allowed = f"{there}; a key of a table as table.key"
+        raise InputError(what, where=source, value=name, allowed=allowed)
     del table[key]
 
 

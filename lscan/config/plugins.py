@@ -178,8 +178,7 @@ def raised(error: BaseException) -> str:
     error : as it was caught
     """
     said = " ".join(f"{type(error).__name__}: {error}".split())
-    frames = frames_of_others(error)
-    if not frames:
+    if not (frames := frames_of_others(error)):
         return said
     folder = Path(frames[0].filename).parent  # what it calls further on may be of a library
     place = [frame for frame in frames if Path(frame.filename).parent == folder][-1]

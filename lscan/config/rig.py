@@ -382,16 +382,13 @@ def parse_rig(document: Document, source: str, trusted: bool = False) -> RigFile
     """
     own = {key: value for key, value in document.items() if key in Rig.model_fields}
     if not {"camera", "track"} & own.keys():
-        raise InputError(
-            "is no rig: it has neither [camera] nor [track]",
-            where=source,
-            allowed="a rig file, or a scene; `lscan scenes` lists those that come with lscan",
-        )
+        what = "is no rig: it has neither [camera] nor [track]"
+        allowed = "a rig file, or a scene; `lscan scenes` lists those that come with lscan"
+        raise InputError(what, where=source, allowed=allowed)
     rig = check(Rig, own, where=source)
     if not trusted and len(own) < len(document):
         known = set(Rig.model_fields).union(*(one.sections for one in drivers_of(rig, source)))
-        unknown = sorted(set(document) - known)
-        if unknown:
+        if unknown := sorted(set(document) - known):
             what, value = f"{unknown[0]}: unknown section", document[unknown[0]]
             raise InputError(what, where=source, value=value, allowed=", ".join(sorted(known)))
     _check_shaft(rig, source)
@@ -405,18 +402,11 @@ def _check_shaft(rig: Rig, source: str) -> None:
     plan = rig.plan
     turn_deg = degrees((plan.frames - 1) * abs(plan.step_mm) / rig.shaft.arc_radius_mm)
     if turn_deg > 360 * (1 + 1e-9):
-        raise InputError(
-            "plan: turns the head by more than a full turn about [shaft]",
-            where=source,
-            value=f"{turn_deg:g} deg",
-            allowed="360 deg or less",
-        )
+        what = "plan: turns the head by more than a full turn about [shaft]"
+        raise InputError(what, where=source, value=f"{turn_deg:g} deg", allowed="360 deg or less")
     if rig.sheet is not None:
-        raise InputError(
-            "sheet: its thickness is corrected for on a linear track only",
-            where=source,
-            allowed="[sheet] or [shaft], not both",
-        )
+        what = "sheet: its thickness is corrected for on a linear track only"
+        raise InputError(what, where=source, allowed="[sheet] or [shaft], not both")
 
 
 def inline_board(document: Document, source: str) -> Document:
@@ -453,8 +443,7 @@ def _check_names(rig_file: RigFile) -> None:
     family, _, variant = name.partition("-")
     solver = find_plugin("lscan.planemaps", family, where=where)
     # A solver from elsewhere may lack the check; it then refuses when it is called.
-    check_variant = getattr(solver, "check_variant", None)
-    if check_variant is None:
+    if (check_variant := getattr(solver, "check_variant", None)) is None:
         return
     try:
         check_variant(variant)

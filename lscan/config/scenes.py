@@ -116,11 +116,8 @@ def _file(path: Path, kind: str, listed: Callable[[], list[str]], allowed: str =
         return path
     near = get_close_matches(path.as_posix().removesuffix(".toml"), names, n=1)
     suggested = f"; did you mean {near[0]}?" if near else ""
-    raise InputError(
-        f"cannot be read: there is no such file, and no {kind} of that name{suggested}",
-        where=path,
-        allowed=f"a TOML file, or {allowed or ', '.join(names)}",
-    )
+    what = f"cannot be read: there is no such file, and no {kind} of that name{suggested}"
+    raise InputError(what, where=path, allowed=f"a TOML file, or {allowed or ', '.join(names)}")
 
 
 def included_file(folder: Path, name: str) -> Path:

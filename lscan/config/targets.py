@@ -251,11 +251,9 @@ class ShapesDocument(Strict):
 
     @model_validator(mode="after")
     def _require_unique_names(self) -> Self:
-        names = [entry.name for _, entries in self for entry in entries]
-        if not names:
+        if not (names := [entry.name for _, entries in self for entry in entries]):
             raise ValueError("names nothing: a plane, step, sphere, cylinder or height is needed")
-        twice = sorted({name for name in names if names.count(name) > 1})
-        if twice:
+        if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"names used twice: {twice}")
         return self
 

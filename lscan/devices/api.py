@@ -418,12 +418,9 @@ class TravelDriver(Generic[Options]):
         }
         for key, position_mm in ends.items():
             if not low_mm - self.slack_mm <= position_mm <= high_mm + self.slack_mm:
-                raise InputError(
-                    f"{key}: leaves the track's travel",
-                    where=where,
-                    value=position_mm,
-                    allowed=f"{low_mm:.9g} to {high_mm:.9g} mm, track.options.min_mm and max_mm",
-                )
+                what = f"{key}: leaves the track's travel"
+                allowed = f"{low_mm:.9g} to {high_mm:.9g} mm, track.options.min_mm and max_mm"
+                raise InputError(what, where=where, value=position_mm, allowed=allowed)
         return options
 
 

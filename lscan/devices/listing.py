@@ -70,8 +70,7 @@ def serial_ports() -> list[SerialPort] | None:
 
 
 def video_devices(
-    open_device: Callable[[OpencvOptions], Capture] = open_capture,
-    root: Path = ROOT,
+    open_device: Callable[[OpencvOptions], Capture] = open_capture, root: Path = ROOT
 ) -> list[VideoDevice]:
     """The cameras of this machine, each opened for a moment and asked what it can do.
 

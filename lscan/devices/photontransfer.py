@@ -325,8 +325,6 @@ def _without_flicker(difference: Floats, mean_dn: Floats) -> Floats:
 
 def _require(pictures: Bytes, fewest: int) -> None:
     if pictures.ndim != 3 or pictures.dtype != np.uint8 or len(pictures) < fewest:
-        raise InputError(
-            "cannot measure noise in these pictures",
-            value=f"{pictures.dtype} of shape {pictures.shape}",
-            allowed=f"uint8 of shape (N, H, W), N at least {fewest}",
-        )
+        what = "cannot measure noise in these pictures"
+        allowed = f"uint8 of shape (N, H, W), N at least {fewest}"
+        raise InputError(what, value=f"{pictures.dtype} of shape {pictures.shape}", allowed=allowed)

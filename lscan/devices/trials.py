@@ -99,9 +99,8 @@ def picture_delay(
         change = on - off
         most_dn = np.abs(change).max()
         if most_dn < LEAST_DN:
-            raise MeasurementError(
-                "delay: no picture shows the laser switched; let the camera see its line"
-            )
+            what = "delay: no picture shows the laser switched; let the camera see its line"
+            raise MeasurementError(what)
         line = np.where(np.abs(change) >= most_dn / 2, change, 0.0)  # not what else changes a bit
         weight = line / (line**2).sum()
         delays_ms = []
@@ -242,9 +241,7 @@ class CameraTrial:
     @property
     def noise_section(self) -> str | None:
         """The ``[stripe.noise]`` section of a rig file; None where the noise is in doubt."""
-        if self.transfer is None or self.doubts:
-            return None
-        return noise_section(self.transfer)
+        return None if self.transfer is None or self.doubts else noise_section(self.transfer)
 
 
 def grab_series(
@@ -350,11 +347,8 @@ def try_camera(
     series, timing = grab_series(camera, pictures, channel, progress)
     levels = grey_levels(series)
     if seen := flicker(series):
-        bands = (
-            "all rows alike"
-            if seen.period_rows is None
-            else f"bands of {seen.period_rows:.0f} rows"
-        )
+        rows = seen.period_rows
+        bands = "all rows alike" if rows is None else f"bands of {rows:.0f} rows"
         remarks.append(
             f"light: it flickers by {100 * seen.share:.1f} % ({bands}), as of a lamp on the mains; "
             "taken out of the noise, not out of the linearity; use a lamp on direct current, or an "
@@ -539,11 +533,8 @@ def try_track(
         Where the track fails.
     """
     if approaches < FEWEST_APPROACHES:
-        raise InputError(
-            "too few approaches to measure how they repeat",
-            value=approaches,
-            allowed=f"{FEWEST_APPROACHES} or more",
-        )
+        what = "too few approaches to measure how they repeat"
+        raise InputError(what, value=approaches, allowed=f"{FEWEST_APPROACHES} or more")
     if not step_mm > 0:
         raise InputError("the step must be above 0 mm", value=step_mm)
     stood_mm = track.position_mm

@@ -20,12 +20,11 @@ from lscan.files.disk import (
     MOST_TEXT_BYTES,
     list_names,
     open_regular,
-    parse_json,
     read_bytes,
-    read_json,
     reading_errors,
     require_within,
 )
+from lscan.files.jsonfiles import parse_json, read_json
 from lscan.files.pictures import MOST_BYTES, MOST_PX, read_header, read_png
 from lscan.records import Bytes, Mask, Status
 
@@ -104,9 +103,8 @@ class DatasetPicture:
         where, allowed = self._where("labels.png"), f"grey, {self.size_px[::-1]}"
         labels = read_png(self._member("labels.png"), where)
         if labels.shape != self.size_px[::-1]:
-            raise InputError(
-                "is of another shape", where=where, value=labels.shape, allowed=allowed
-            )
+            what = "is of another shape"
+            raise InputError(what, where=where, value=labels.shape, allowed=allowed)
         return labels
 
     @cached_property

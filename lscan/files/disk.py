@@ -9,24 +9,19 @@ import codecs
 import errno
 import fcntl
 import hashlib
-import json
 import os
 import secrets
 import shutil
 import stat
-import tempfile
 import tomllib
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from importlib.resources import files
 from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
-from pydantic_core import to_jsonable_python
-
 from lscan.errors import DiskError, InputError
-from lscan.records import Progress
 
 _MAKE_WRITABLE = "make it writable, or choose another folder"
 _BRING_BACK = "make its folder, or bring it back where it was moved or its disk taken away"
@@ -203,12 +198,9 @@ def require_within(path: Path, folder: Path) -> None:
     """
     followed = os.path.realpath(path)
     if not Path(followed).is_relative_to(os.path.realpath(folder)):
-        raise InputError(
-            f"is a link that leads out of {folder}",
-            where=path,
-            value=followed,
-            allowed="what lies in the folder itself; copy it there",
-        )
+        what = f"is a link that leads out of {folder}"
+        allowed = "what lies in the folder itself; copy it there"
+        raise InputError(what, where=path, value=followed, allowed=allowed)
 
 
 def list_names(folder: Path) -> set[str]:
@@ -243,42 +235,6 @@ def make_folder(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"cannot be made a folder: {error.strerror}", where=folder) from error
-
-
-def cache_folder() -> Path | None:
-    """The folder of the user's cache, made where it is missing; None where there can be none.
-
-    It is ``lscan`` in $XDG_CACHE_HOME, or in ~/.cache; without HOME it lies in the temporary
-    folder, which all users share, under the user's number.  In any place it is the user's own, and
-    nobody else may look into it or write there: what it keeps is believed.
-    """
-    home, shared = os.environ.get("HOME"), Path(tempfile.gettempdir(), f"lscan-{os.getuid()}")
-    above = os.environ.get("XDG_CACHE_HOME") or (home and f"{home}/.cache")
-    folder = Path(above, "lscan") if above else shared
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        status = folder.stat(follow_symlinks=folder != shared)
-        if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
-            return None
-        if stat.S_IMODE(status.st_mode) & 0o077:
-            folder.chmod(0o700)
-    except OSError:
-        return None
-    return folder
-
-
-def read_cached(file: Path, most: int) -> bytes | None:
-    """What a file of the cache holds; None where it is missing, too large or not the user's own.
-
-    Parameters
-    ----------
-    file : Path, in ``cache_folder()``
-    most : int, its largest size, bytes
-    """
-    with suppress(InputError, OSError):
-        if file.stat().st_uid == os.getuid():
-            return read_bytes(file, most)
-    return None
 
 
 def temporary_name(name: str) -> str:
@@ -521,182 +477,6 @@ def _write_all(descriptor: int, data: bytes) -> None:
     rest = memoryview(data)
     while rest:
         rest = rest[os.write(descriptor, rest) :]
-
-
-# JSON: results on the screen and in files, and files read without trust in them.
-
-
-MOST_LEVELS = 50
-"""Of tables and lists in one another; a rig file has six or so."""
-TOO_DEEP = "tables and lists too deep in one another"
-
-
-def read_json(path: Path, most: int = MOST_TEXT_BYTES, within: Path | None = None) -> Any:
-    """What a JSON file holds.
-
-    Parameters
-    ----------
-    path : Path, the file
-    most : int, its largest size, bytes
-    within : Path or None, a folder whose content is a stranger's, and the file in it: no link out
-        of it is followed
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or as ``parse_json``.
-    """
-    return parse_json(read_text(path, most, within), path)
-
-
-def parse_json(text: str | bytes, where: object) -> Any:
-    """What a JSON text holds.
-
-    Parameters
-    ----------
-    text : str or bytes
-    where : the file, for the error
-
-    Raises
-    ------
-    InputError
-        It is no JSON, or holds what is no finite number, a null character, or tables too deep in
-        one another.
-    """
-    try:
-        content = json.loads(text, parse_constant=_refuse_constant)
-    except ValueError as error:  # also of a number of thousands of digits
-        raise InputError(f"is not valid JSON: {error}", where=where) from error
-    except RecursionError as error:
-        what, allowed = f"is not valid JSON: {TOO_DEEP}", f"{MOST_LEVELS} levels"
-        raise InputError(what, where=where, allowed=allowed) from error
-    check_values(content, where)
-    return content
-
-
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a number")
-
-
-def check_values(value: Any, where: object, keys: tuple[str | int, ...] = ()) -> None:
-    """Refuse what no later step could take: a null character, and nesting without end.
-
-    Parameters
-    ----------
-    value : of the types of JSON or TOML
-    where : the file, for the error
-    keys : tuple, that lead to the value in the file
-
-    Raises
-    ------
-    InputError
-        Names the keys.
-    """
-    if isinstance(value, dict | list):
-        if len(keys) == MOST_LEVELS:
-            what = f"{dotted(keys[:3])}...: {TOO_DEEP}"
-            raise InputError(what, where=where, allowed=f"{MOST_LEVELS} levels")
-        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            check_values(key, where, keys)
-            check_values(item, where, (*keys, key))
-    elif isinstance(value, str) and "\0" in value:
-        what = f"{dotted(keys) or 'a key'}: holds a null character"
-        raise InputError(what, where=where, value=value, allowed="a text without")
-
-
-def dotted(keys: tuple[str | int, ...]) -> str:
-    """The keys that lead to a value, as one text.
-
-    Parameters
-    ----------
-    keys : tuple, names and numbers
-    """
-    return ".".join(map(str, keys))
-
-
-def json_text(value: object, *, compact: bool = False) -> str:
-    """A value as JSON text, without a line end; numbers that are not finite as null.
-
-    Parameters
-    ----------
-    value : of JSON types, records, paths and NumPy's numbers and arrays
-    compact : bool, on one line, without spaces: many times faster
-
-    Examples
-    --------
-    >>> print(json_text({"rms_mm": float("nan"), "file": Path("a.json")}))
-    {
-      "rms_mm": null,
-      "file": "a.json"
-    }
-    """
-    plain = to_jsonable_python(value, inf_nan_mode="null", fallback=lambda other: other.tolist())
-    return json.dumps(plain, separators=(",", ":")) if compact else json.dumps(plain, indent=2)
-
-
-def write_json(file: Path, value: object) -> None:
-    """Write a value as JSON, whole or not at all, as ``json_text`` puts it.
-
-    Parameters
-    ----------
-    file : Path, replaced where it is there
-    value : as of ``json_text``
-
-    Raises
-    ------
-    InputError
-        The disk refuses.
-    """
-    write_atomically(file, f"{json_text(value)}\n".encode())
-
-
-# Long work that is done once, when it is first needed: how far it is, for whoever shows it.
-#
-# What makes a file of the user's cache lies deep beneath the function that was called, and drivers
-# open cameras without knowing who waits.  Such work says how far it is here; a command line draws
-# it as a bar, and where nobody shows it nothing is.
-
-
-Shown = Callable[[str], AbstractContextManager[Progress]]
-"""What shows work under a title, and gives what the work calls with (done, all)."""
-
-_shown: list[Shown] = []
-
-
-@contextmanager
-def long_work(title: str) -> Iterator[Progress]:
-    """What long work calls with (done, all) of its steps within the block.
-
-    Parameters
-    ----------
-    title : str, what the work is
-
-    Examples
-    --------
-    >>> with long_work("squares") as progress:
-    ...     for number in range(3):
-    ...         progress(number + 1, 3)
-    """
-    if not _shown:
-        yield lambda done, every: None
-        return
-    with _shown[-1](title) as progress:
-        yield progress
-
-
-@contextmanager
-def long_work_shown(show: Shown) -> Iterator[None]:
-    """Let a function show all long work that is begun within the block, in any thread.
-
-    Parameters
-    ----------
-    show : function of a title whose context manager gives a function of (done, all)
-    """
-    _shown.append(show)
-    try:
-        yield
-    finally:
-        _shown.remove(show)
 
 
 # Tables that lie beside the modules of this package, as TOML.

@@ -56,8 +56,7 @@ def load_mesh(path: Path, mm_per_unit: float = 1.0) -> trimesh.Trimesh:
     if kind not in MOST_BYTES:
         allowed = ", ".join(f".{name}" for name in MOST_BYTES)
         raise InputError("is no kind of mesh file", where=path, value=path.suffix, allowed=allowed)
-    content = read_bytes(path, MOST_BYTES[kind]).removeprefix(codecs.BOM_UTF8)
-    if not content:
+    if not (content := read_bytes(path, MOST_BYTES[kind]).removeprefix(codecs.BOM_UTF8)):
         raise InputError("is an empty file", where=path)
     if kind in ("obj", "off") and b"\0" in content:
         raise InputError("is no text, or one in UTF-16; save it as UTF-8", where=path)

@@ -251,13 +251,9 @@ def read_ply(content: bytes) -> PolygonMesh:
     unread += [f"face property {name!r}" for name in PLY_LEVELS if name in face.types]
     unread += [line for line in comments if line.lower().startswith("texturefile")]
     return PolygonMesh(
-        vertices.astype(float),
-        corners,
-        sizes,
-        _ply_colours(vertex, tables["vertex"]),
-        _ply_colours(face, tables.get("face", [])),
-        ", ".join(unread),
-    )
+        vertices.astype(float), corners, sizes, _ply_colours(vertex, tables["vertex"]),
+        _ply_colours(face, tables.get("face", [])), ", ".join(unread),
+    )  # fmt: skip
 
 
 def _ply_header(content: bytes) -> tuple[dict[str, PlyElement], str, list[str], memoryview]:
@@ -442,8 +438,7 @@ def read_off(content: bytes) -> PolygonMesh:
     content : bytes, of the file
     """
     text = re.sub(r"#.*", "", content.decode("latin-1"))
-    head = re.match(r"\s*(?:ST)?(C?)(N?)OFF(?![A-Za-z])(?!\s+BINARY)", text)
-    if not head:
+    if not (head := re.match(r"\s*(?:ST)?(C?)(N?)OFF(?![A-Za-z])(?!\s+BINARY)", text)):
         raise InputError("has no header OFF, COFF, NOFF or CNOFF of a text")
     lines = [words for words in map(str.split, text[head.end() :].splitlines()) if words]
     (count, faces), rows = map(int, lines[0][:2]), lines[1:]

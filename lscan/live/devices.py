@@ -189,11 +189,8 @@ class LiveDevices:
             self.ready()
             track: Track | LaserSwitch = self.track
             if not isinstance(track, LaserSwitch):
-                raise InputError(
-                    "the track cannot switch the laser",
-                    where="track.driver",
-                    value=self._rig_file.rig.track.driver,
-                )
+                what = "the track cannot switch the laser"
+                raise InputError(what, where="track.driver", value=self._rig_file.rig.track.driver)
             self.laser = True
             if on:
                 track.laser_on()

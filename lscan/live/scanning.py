@@ -91,12 +91,8 @@ class Scanning:
         folder that cannot be made, DeviceError where the track does not come back.
         """
         if name and not NAME.fullmatch(name):
-            raise InputError(
-                "not a folder name",
-                where="name",
-                value=name,
-                allowed="letters, digits, '.', '_' and '-', the first a letter or a digit",
-            )
+            allowed = "letters, digits, '.', '_' and '-', the first a letter or a digit"
+            raise InputError("not a folder name", where="name", value=name, allowed=allowed)
         folder = self._output / (name or next_name(self._output, "scan"))
         self._devices.ready()
         self._earlier_s = 0.0

@@ -164,12 +164,8 @@ def grant(host: str, port: int, token: str | None) -> Access:
     ('http://127.0.0.1:8765/',)
     """
     if token is not None and not TOKEN.fullmatch(token):
-        raise InputError(
-            "not a token",
-            where="--token",
-            value=token,
-            allowed="8 to 200 letters, digits, '-' and '_'",
-        )
+        allowed = "8 to 200 letters, digits, '-' and '_'"
+        raise InputError("not a token", where="--token", value=token, allowed=allowed)
     if token is None and host not in LOOPBACK:
         token = secrets.token_urlsafe(16)
     return Access(host, port, token)

@@ -298,8 +298,7 @@ class Session:
     def _measure(self) -> None:
         number, shown = 0, 0  # of pictures come, and of those measured: browsers count these
         while not self._closing.is_set():
-            newest = self._pictures.after(number, WAIT_S)
-            if newest is not None:
+            if (newest := self._pictures.after(number, WAIT_S)) is not None:
                 number, picture = newest
                 shown += 1
                 self.frames.put(self._frame(shown, picture))

@@ -4,13 +4,6 @@ from lscan.measure.board import Circle, diameters, distances, fit_circle, unmeas
 from lscan.measure.grooves import SliceErrors, compare_slice, groove_dimensions, scale_along_track
 
 __all__ = [
-    "Circle",
-    "SliceErrors",
-    "compare_slice",
-    "diameters",
-    "distances",
-    "fit_circle",
-    "groove_dimensions",
-    "scale_along_track",
-    "unmeasured_distances",
-]
+    "Circle", "SliceErrors", "compare_slice", "diameters", "distances", "fit_circle",
+    "groove_dimensions", "scale_along_track", "unmeasured_distances",
+]  # fmt: skip

@@ -78,12 +78,9 @@ def mean_length(lengths: Sequence[LengthBudget]) -> LengthBudget:
         spread = max(spread, float(np.sqrt(scatter)))
     modes = [length.modes_mm for length in lengths]
     known = [mode for mode in modes if mode is not None]
-    return LengthBudget(
-        value_mm=mean,
-        own_mm=spread,
-        common_mm=float(np.sqrt(weight @ common**2)),
-        modes_mm=weight @ np.array(known) if len(known) == len(modes) else None,
-    )
+    common_mm = float(np.sqrt(weight @ common**2))
+    modes_mm = weight @ np.array(known) if len(known) == len(modes) else None
+    return LengthBudget(value_mm=mean, own_mm=spread, common_mm=common_mm, modes_mm=modes_mm)
 
 
 # The circle that lies closest to points in a plane.
@@ -244,9 +241,8 @@ def distances(reading: BoardReading, board: Board, plane_map: PlaneMap) -> dict[
     }
     if not measured:
         names = ", ".join(sorted(places)) or "none are on the board"
-        raise MeasurementError(
-            f"no distance of the board can be measured: dots looked for: {names}"
-        )
+        what = f"no distance of the board can be measured: dots looked for: {names}"
+        raise MeasurementError(what)
     return measured
 
 

@@ -440,8 +440,7 @@ def find_parts(line: Trace, piece: GroovedBlock) -> Parts:
     bottoms = []
     for number, (left, right) in enumerate(pairwise(ridges), start=1):
         limit = left.level_mm - shallowest / 2
-        inside = _below(found, left.points[-1], right.points[0], limit)
-        if not inside:
+        if not (inside := _below(found, left.points[-1], right.points[0], limit)):
             raise MeasurementError(f"the bottom of groove {number} is not seen")
         # Beside the bottom, pieces of lit wall may stand: the bottom is the widest piece.
         bottoms.append(_widest_level(line, inside))
@@ -633,9 +632,8 @@ def compare_slice(measured: Slice, piece: Sandwave, visible: Mask | None = None)
         seen &= visible
     compared = inside & seen
     if not compared.any():
-        raise MeasurementError(
-            f"slice: none of its {len(x)} points has data on the waves to compare with eq. (4)"
-        )
+        what = f"slice: none of its {len(x)} points has data on the waves to compare with eq. (4)"
+        raise MeasurementError(what)
     nominal = piece.height_mm(x, y)
     return SliceErrors(
         nominal_mm=nominal,

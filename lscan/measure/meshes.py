@@ -544,7 +544,6 @@ def save_histogram(path: Path, comparison: MeshComparison) -> None:
     axes.axvline(0.0, color=INK, linewidth=0.8)
     mean = float(comparison.distance_mm.mean())
     axes.axvline(mean, color=FIRST, label=f"mean {mean:+.3f} mm")
-    axes.set_xlabel("distance from the mesh, mm")
-    axes.set_ylabel("points")
+    axes.set(xlabel="distance from the mesh, mm", ylabel="points")
     axes.legend()
     write_atomically(path, png(figure))

@@ -313,8 +313,7 @@ def _cells(xyz: Floats) -> Ints:
     plan = xyz[:, :2] - xyz[:, :2].min(axis=0)
     side = max(float(plan.max()) / CELLS_ACROSS, np.finfo(float).tiny)
     place = np.minimum(plan / side, CELLS_ACROSS - 1).astype(np.int64)
-    number: Ints = np.unique(place @ [CELLS_ACROSS, 1], return_inverse=True)[1]
-    return number
+    return np.unique(place @ [CELLS_ACROSS, 1], return_inverse=True)[1]
 
 
 def _excess(weighted: Floats, ratio: Floats, inverse: Floats, cell: Ints) -> float:
@@ -359,8 +358,7 @@ def tangents(direction: Floats) -> Floats:
 
 
 def _unit(vector: Floats) -> Floats:
-    unit: Floats = vector / np.linalg.norm(vector)
-    return unit
+    return vector / np.linalg.norm(vector)
 
 
 @dataclass(frozen=True)
@@ -683,9 +681,8 @@ def _points_in_box(surface: Surface, box: SurfaceBox, name: str) -> MeasuredPoin
             inside &= (values >= limits[0]) & (values <= limits[1])
     points = measured_points(surface, inside)
     if len(points.xyz_mm) == 0:
-        raise MeasurementError(
-            f"{name!r}: the surface has no point in its box; it has points in {_reach(surface)}"
-        )
+        what = f"{name!r}: the surface has no point in its box; it has points in {_reach(surface)}"
+        raise MeasurementError(what)
     return points.only(np.arange(0, len(points.xyz_mm), -(-len(points.xyz_mm) // MOST_POINTS)))
 
 
@@ -703,9 +700,8 @@ def _measure(kind: str, name: str, fit: ShapeFit, points: MeasuredPoints) -> Sha
     shape = fit.shape
     assert isinstance(shape, MeasuredShape)
     if not fit.determined or fit.share_of_noise(points) > MOST_NOISE:
-        raise MeasurementError(
-            f"{kind} {name!r}: the points in its box do not determine it, given their scatter"
-        )
+        what = f"{kind} {name!r}: the points in its box do not determine it, given their scatter"
+        raise MeasurementError(what)
     values = shape.quantities()
     sigma = fit.sigma(_gradient(shape, len(fit.covariance)))
     return ShapeMeasure(

@@ -4,38 +4,22 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from lscan import pipeline
 from lscan.acquisition.run import Run, Versions, software_versions
 from lscan.board import read_board
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.rig import Rig
 from lscan.errors import InputError, LscanError
 from lscan.paper.published import CHOSEN_MAP
-from lscan.pipeline import (
-    BoardMeasures,
-    GrooveMeasures,
-    SandwaveMeasures,
-    board_expected,
-    mean_picture,
-    measure_groove,
-    measure_reading,
-    measure_sandwave,
-    require_board,
-    require_size,
-)
 from lscan.records import BoardReading, Bytes, Progress, Stripe
 from lscan.stripe import extract_stripe
 
 # The records of the paper's whole experiment (Sec. IV), and what its board picture gives.
 
 METHODS = (
-    "graticule-1",
-    "graticule-2",
-    "graticule-bspline",
-    "graticule-2-norulers",
-    "projective",
-    "polynomial-3",
-    "polynomial-5",
-)
+    "graticule-1", "graticule-2", "graticule-bspline", "graticule-2-norulers",
+    "projective", "polynomial-3", "polynomial-5",
+)  # fmt: skip
 PICTURES_SHOWN = 3  # of Fig. 35
 
 
@@ -93,7 +77,7 @@ class BoardResult:
     image: Bytes
     reading: BoardReading
     calibrations: Mapping[str, Calibration]
-    measures: Mapping[str, BoardMeasures]
+    measures: Mapping[str, pipeline.BoardMeasures]
 
 
 @dataclass(frozen=True)
@@ -183,8 +167,8 @@ class Experiment:
     scene: str
     chain: Chain
     board: BoardResult
-    groove: GrooveMeasures | None = None
-    sandwave: SandwaveMeasures | None = None
+    groove: pipeline.GrooveMeasures | None = None
+    sandwave: pipeline.SandwaveMeasures | None = None
     sources: Mapping[str, PictureSource] = field(default_factory=dict)
     shown: Mapping[str, LinePictures] = field(default_factory=dict)
     best: "Experiment | None" = None
@@ -224,13 +208,13 @@ def measure_board(run: Run, methods: Sequence[str] = METHODS) -> BoardResult:
     Sec. IV.A and Tables I and II of the paper.
     """
     rig = run.rig_file.rig
-    board = require_board(run.rig_file)
-    image = mean_picture(run)
-    with board_expected(run):
+    board = pipeline.require_board(run.rig_file)
+    image = pipeline.mean_picture(run)
+    with pipeline.board_expected(run):
         reading = read_board(image, board, channel=rig.calibration.channel)
     calibrations = {name: calibrate(reading, name, rig.optics) for name in methods}
     measures = {
-        name: measure_reading(reading, board, calibration.plane_map)
+        name: pipeline.measure_reading(reading, board, calibration.plane_map)
         for name, calibration in calibrations.items()
     }
     return BoardResult(image, reading, calibrations, measures)
@@ -293,8 +277,7 @@ def note(sources: Sources, parts: Collection[str] = PARTS) -> str:
     parts : collection of str, of these names
     """
     there = {part: source for part, source in sources.items() if part in parts}
-    simulated = simulated_parts(there)
-    if not simulated:
+    if not (simulated := simulated_parts(there)):
         return ""
     words = f"simulated tank, {noise_words(simulated.values())}."
     if len(simulated) < len(there):
@@ -343,11 +326,9 @@ def simulated_parts(sources: Sources) -> Sources:
 
 def noise_words(sources: Collection[PictureSource]) -> str:
     """Such as "noise seed 1"."""
-    noisy = [source for source in sources if source.noise]
-    if not noisy:
+    if not (noisy := [source for source in sources if source.noise]):
         return "without noise"
-    seeds = {source.noise_seed for source in noisy if source.noise_seed is not None}
-    if not seeds:
+    if not (seeds := {source.noise_seed for source in noisy if source.noise_seed is not None}):
         return "noise seed not stated"
     return f"noise seed{'s' if len(seeds) > 1 else ''} {' and '.join(map(str, sorted(seeds)))}"
 
@@ -422,15 +403,19 @@ def _measure(
     others = {part: run for part, run in runs.items() if part != "board"}
     for run in others.values():
         size_px = board.reading.image_size
-        require_size(run.rig_file.rig.camera, size_px, f"from {runs['board'].path}", run.path)
+        pipeline.require_size(
+            run.rig_file.rig.camera, size_px, f"from {runs['board'].path}", run.path
+        )
     plane_map = board.calibrations[chosen].plane_map
     groove, sandwave = others.get("groove"), others.get("sandwave")
     return Experiment(
         scene=runs[max(runs)].rig_file.rig.name,  # the sandwave's, else the groove's
         chain=_chain(chosen, [run.rig_file.rig for run in others.values()]),
         board=board,
-        groove=None if groove is None else measure_groove(groove, plane_map),
-        sandwave=None if sandwave is None else measure_sandwave(sandwave, plane_map, progress),
+        groove=None if groove is None else pipeline.measure_groove(groove, plane_map),
+        sandwave=None
+        if sandwave is None
+        else pipeline.measure_sandwave(sandwave, plane_map, progress),
     )
 
 
@@ -457,20 +442,16 @@ def _chain(plane_map: str, rigs: Sequence[Rig]) -> Chain:
         "blur": any(rig.stripe.blur_px is not None for rig in rigs),
         "sheet thickness": any(rig.sheet is not None for rig in rigs),
     }
-    return Chain(
-        plane_map,
-        extractors=tuple(sorted({rig.stripe.extractor for rig in rigs})),
-        corrected_for=tuple(name for name, made in corrections.items() if made),
-    )
+    extractors = tuple(sorted({rig.stripe.extractor for rig in rigs}))
+    corrected_for = tuple(name for name, made in corrections.items() if made)
+    return Chain(plane_map, extractors=extractors, corrected_for=corrected_for)
 
 
 def _best_runs(runs: Mapping[str, Run], best: Mapping[str, Rig] | None) -> dict[str, Run]:
     """The runs with rigs that have them read by the best chain."""
     if best is None and "optics" not in runs["board"].rig_file.document:
-        raise InputError(
-            f"the rig file has no section [optics], which the map {BEST_MAP} starts from",
-            where=runs["board"].path,
-        )
+        what = f"the rig file has no section [optics], which the map {BEST_MAP} starts from"
+        raise InputError(what, where=runs["board"].path)
     return {
         part: _read_as(run, _best_rig(run.rig_file.rig) if best is None else best[part])
         for part, run in runs.items()

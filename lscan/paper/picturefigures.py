@@ -146,12 +146,10 @@ def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
         asked = sum(len(ruler.marks.status) for ruler in reading.rulers)
         found += f" and {seen} of {asked} marks of {len(reading.rulers)} rulers"
     outside = int((grid.status == Status.OUT_OF_VIEW).sum())
+    sigma = np.median(grid.sigma_px[grid.found])
+    unseen = f" {outside} lie outside the picture." if outside else ""
     return photo_of(
-        "control-points",
-        draw_overlay(image, reading),
-        found=found,
-        sigma=np.median(grid.sigma_px[grid.found]),
-        unseen=f" {outside} lie outside the picture." if outside else "",
+        "control-points", draw_overlay(image, reading), found=found, sigma=sigma, unseen=unseen
     )
 
 
@@ -167,8 +165,7 @@ def line_fits(row: RowFits) -> ReportFigure:
         notes.append(f"{title} {rms:.2f} px rms, {worst:.2f} px at most")
         panel.plot(*row.curves[name].T, color=colour)
         _mark(panel, row.points_px)
-        panel.set_title(f"{title}: {rms:.2f} px rms off the control points")
-        panel.set_ylabel("v / px")
+        panel.set(title=f"{title}: {rms:.2f} px rms off the control points", ylabel="v / px")
         panel.invert_yaxis()
     axes[-1].set_xlabel("u / px")
     fits = ", ".join(title for title, _ in FITS.values())
@@ -204,9 +201,7 @@ def sensitivity(row: RowFits, name: str, paper: str) -> ReportFigure:
     style.legend(lines)
     differences.axhline(0, color=style.MUTED, linewidth=0.7)
     differences.plot(after[:, 0], change, color=colour)
-    differences.set_ylim(1.25, -1.25)
-    differences.set_ylabel("change of v / px")
-    differences.set_xlabel("u / px")
+    differences.set(ylim=(1.25, -1.25), ylabel="change of v / px", xlabel="u / px")
     sign = 1.0 if abs(change.max()) >= abs(change.min()) else -1.0
     return figure_of(
         "sensitivity",
@@ -237,8 +232,7 @@ def ruler(curve: DrawnConversion) -> ReportFigure:
     figure, (axes,) = style.panels(1, (style.WIDTH_IN, 3.4))
     axes.plot(curve.curve_px, curve.curve_mm, color=style.SECOND)
     axes.plot(curve.marks_px, curve.marks_mm, "o", color=style.INK, markersize=3)
-    axes.set_xlabel("v / px")
-    axes.set_ylabel("z / mm")
+    axes.set(xlabel="v / px", ylabel="z / mm")
     scale = np.abs(np.gradient(curve.curve_mm, curve.curve_px))
     marks = len(curve.marks_px)
     return figure_of(
@@ -315,12 +309,9 @@ def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
             if np.isfinite(centre):
                 close.axvline(centre, color=colour, linewidth=0.9, linestyle=dash)
     peak = int(reds[0][:, column].argmax())
-    close.set_xlim(peak - _ZOOM_PX, peak + _ZOOM_PX)
-    close.set_xlabel("v / px")
-    whole.set_title("(a) the whole column")
-    close.set_title("(b) near the peak")
+    close.set(xlim=(peak - _ZOOM_PX, peak + _ZOOM_PX), xlabel="v / px", title="(b) near the peak")
+    whole.set(xlim=(0, len(reds[0]) - 1), title="(a) the whole column")
     style.legend(whole)
-    whole.set_xlim(0, len(reds[0]) - 1)
     return figure_of(
         "intensities",
         figure,

@@ -328,8 +328,7 @@ def _draw_error(axes: Axes, cut: Slice, errors: SliceErrors, bar_mm: float) -> N
     for bound in (-bar_mm, bar_mm):
         axes.axhline(bound, color=style.MUTED, linewidth=0.8, linestyle="--")
     reach = 1.15 * max(bar_mm, float(np.nanmax(np.abs(error))))
-    axes.set_ylim(-reach, reach)
-    axes.set_ylabel("error / mm")
+    axes.set(ylim=(-reach, reach), ylabel="error / mm")
 
 
 def _gaps(cut: Slice, skipped: int) -> str:

@@ -404,12 +404,10 @@ def _render_checks(experiment: Experiment) -> list[ReportCheck]:
 
 
 def _sandwave_checks(experiment: Experiment, bar_mm: float) -> list[ReportCheck]:
-    sandwave = experiment.sandwave
-    if sandwave is None:
+    if (sandwave := experiment.sandwave) is None:
         return []
     lines = [_slice_check(name, errors, bar_mm) for name, errors in sandwave.errors.items()]
-    yaw_deg = sandwave.alignment.yaw_deg
-    if yaw_deg is None:
+    if (yaw_deg := sandwave.alignment.yaw_deg) is None:
         return lines
     true = f" (true {experiment.truth.yaw_deg:.3f}°)" if experiment.truth else ""
     found, theirs = f"{yaw_deg:.3f}°{true}", f"{paper.YAW_DEG:.2f}°"

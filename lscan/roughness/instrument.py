@@ -110,9 +110,8 @@ def line_reading(
     moved = (shown[0] - shown[1]) / (2 * AMPLITUDE_PX)
     gain = np.array([_gain(moved[each == k], phase[each == k]) for k in range(STEPS)])
     if not np.isfinite(gain).all():
-        raise InputError(
-            "finds no line", where=f"extractor {settings.extractor}", value=f"{peak_dn:g} DN"
-        )
+        what = "finds no line"
+        raise InputError(what, where=f"extractor {settings.extractor}", value=f"{peak_dn:g} DN")
     return LineReading(size, gain)
 
 
@@ -334,9 +333,7 @@ def response_of(rig: Rig, surface: Surface, peak_dn: float | None = None) -> Sca
     pixel_mm = float(np.median(apart[good[:, 1:] & good[:, :-1]]))
     blur_px = rig.stripe.blur_px or 0.0
     along = ScannerResponse(
-        blur_cm=blur_px * pixel_mm / MM_PER_CM,
-        pixel_cm=pixel_mm / MM_PER_CM,
-        corrected_px=blur_px,
+        blur_cm=blur_px * pixel_mm / MM_PER_CM, pixel_cm=pixel_mm / MM_PER_CM, corrected_px=blur_px
     )
     if rig.sheet is None or is_thickness_corrected(surface):
         return along
@@ -348,12 +345,8 @@ def response_of(rig: Rig, surface: Surface, peak_dn: float | None = None) -> Sca
     down = rig.sheet.camera_mm[2] - float(points[:, 2].mean())
     across = abs(down) / float(np.hypot(down, rig.sheet.camera_mm[1]))
     sheet_px = sigma_mm * across / pixel_mm
-    return replace(
-        along,
-        sheet_cm=sigma_mm / MM_PER_CM,
-        aside=_aside(rig.sheet, points),
-        reading=line_reading(rig.stripe, sheet_px, blur_px, peak_dn),
-    )
+    sheet_cm, reading = sigma_mm / MM_PER_CM, line_reading(rig.stripe, sheet_px, blur_px, peak_dn)
+    return replace(along, sheet_cm=sheet_cm, aside=_aside(rig.sheet, points), reading=reading)
 
 
 def _aside(sheet: SheetSection, points_mm: Floats) -> tuple[float, ...]:

@@ -48,9 +48,8 @@ class Patch:
         """Raise MeasurementError where the patch is too small or has too many holes."""
         if min(self.z_cm.shape) < FEWEST:
             rows, columns = self.z_cm.shape
-            raise MeasurementError(
-                f"roughness: a patch of {rows} by {columns} cells, {FEWEST} a side are needed"
-            )
+            what = f"roughness: a patch of {rows} by {columns} cells, {FEWEST} a side are needed"
+            raise MeasurementError(what)
         share = self.seen.mean()
         if share < LEAST_SEEN:
             raise MeasurementError(
@@ -197,9 +196,8 @@ def patch_of_profiles(surface: Surface, cell_mm: float | None = None) -> Patch:
     good = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     rows = np.flatnonzero(good.sum(axis=1) >= SHORTEST)
     if len(rows) < FEWEST:
-        raise MeasurementError(
-            f"roughness: {len(rows)} profiles of {SHORTEST} points, {FEWEST} are needed"
-        )
+        what = f"roughness: {len(rows)} profiles of {SHORTEST} points, {FEWEST} are needed"
+        raise MeasurementError(what)
     along, across = _frame(surface, good, rows)
     step_mm = _spacing(across, good, rows)
     every = max(round((cell_mm or 0.0) / abs(step_mm)), 1)

@@ -314,14 +314,10 @@ def fit_power_law(
     likelihood, theta = _most_likely(patch, band, stretched, response, known)
     covariance = likelihood.covariance(theta, seed, simulated, progress)
     return PowerLawFit(
-        law_of(theta),
-        PARAMETERS[: len(theta)],
-        covariance,
-        2 * (simulated // 2) - 1,
-        band,
+        law_of(theta), PARAMETERS[: len(theta)], covariance, 2 * (simulated // 2) - 1, band,
         len(likelihood.values),
         float(np.mean(likelihood.values / likelihood.expected(theta)) - 1),
-    )
+    )  # fmt: skip
 
 
 def most_likely_law(
@@ -349,11 +345,7 @@ def most_likely_law(
 
 
 def _most_likely(
-    patch: Patch,
-    band: Band,
-    stretched: bool,
-    response: Density | None,
-    known: Known | None,
+    patch: Patch, band: Band, stretched: bool, response: Density | None, known: Known | None
 ) -> tuple["_Likelihood", Floats]:
     """The likelihood of the differences that suit the exponent, and where it is largest."""
     theta = np.zeros(4 if stretched else 2)

@@ -160,9 +160,5 @@ def _refuse(where: str, name: str, values: Any, wrong: Mask, allowed: str) -> No
     """InputError for the first column that is wrong, if one is."""
     if wrong.any():
         column = int(wrong.argmax())
-        raise InputError(
-            f"gave a bad {name} in column {column}",
-            where=where,
-            value=values[column].item(),
-            allowed=allowed,
-        )
+        what = f"gave a bad {name} in column {column}"
+        raise InputError(what, where=where, value=values[column].item(), allowed=allowed)

@@ -185,8 +185,7 @@ def fit_steps(
 
 def _counts(inside: Floats, within: float) -> Floats:
     """How much a sample counts, 0 to 1, that lies so far inside a limit; half at the limit."""
-    counts: Floats = np.clip((1 + inside / within) / 2, 0.0, 1.0)
-    return counts
+    return np.clip((1 + inside / within) / 2, 0.0, 1.0)
 
 
 @dataclass(frozen=True)

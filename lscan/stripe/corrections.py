@@ -75,12 +75,8 @@ def correct_blur(stripe: Stripe, settings: StripeSection, light: GreyValues) -> 
     if settings.blur_px is None:
         return stripe
     if light.ndim != 2 or len(light) != len(stripe.status):
-        raise InputError(
-            "is not of the stripe's length",
-            where="light",
-            value=light.shape,
-            allowed=f"({len(stripe.status)}, L)",
-        )
+        what, allowed = "is not of the stripe's length", f"({len(stripe.status)}, L)"
+        raise InputError(what, where="light", value=light.shape, allowed=allowed)
     run = pieces(stripe)
     if (run < 0).all():
         return stripe

@@ -26,19 +26,9 @@ from lscan.records import (
     Stripe,
     has_value,
 )
+from lscan.stripe import peaks
 from lscan.stripe.api import Extractor, Picture, require_stripe, stripes_by, takes_integers
 from lscan.stripe.corrections import correct_blur, smooth
-from lscan.stripe.peaks import (
-    batch_by_kind,
-    clipped_near,
-    core_flux,
-    doubt_beside_edge,
-    join_stripes,
-    line_width,
-    pieces,
-    split_stripe,
-    windows,
-)
 from lscan.stripe.picture import (
     PictureLines,
     check_pair,
@@ -109,7 +99,7 @@ def at_least_seen(seen: Sequence[SeenLine]) -> list[Stripe]:
 
 def _widen_sigma(stripe: Stripe, lag: int) -> Stripe:
     """The same of a stripe whose columns share errors along ``lag`` columns."""
-    run, sigma_px = pieces(stripe), stripe.sigma_px.copy()
+    run, sigma_px = peaks.pieces(stripe), stripe.sigma_px.copy()
     for status in (Status.OK, Status.SATURATED):
         kept = stripe.status == status
         if np.count_nonzero(kept) > _FEWEST_DIFFERENCES:
@@ -157,7 +147,9 @@ def shared_columns(seen: Sequence[SeenLine]) -> list[int]:
     ----------
     seen : sequence of SeenLine, of one picture each, in which some columns have a value
     """
-    scales = [line_width(light, at := _known_columns(one), crest[at]) for one, light, crest in seen]
+    scales = [
+        peaks.line_width(light, at := _known_columns(one), crest[at]) for one, light, crest in seen
+    ]
     widths = _variances(seen, [max(scale, _FINEST_PX) for scale in scales]) if seen else []
     each = zip(seen, widths, scales, strict=True)
     return [_lag(stripe, width, scale) for (stripe, *_), width, scale in each]
@@ -169,7 +161,7 @@ def _known_columns(stripe: Stripe) -> Ints:
 
 def _lag(stripe: Stripe, width: Floats, scale: float) -> int:
     """The same of one picture, from the line's variance (N,) in each of its columns."""
-    run = np.where(np.isfinite(width), pieces(stripe), -1)
+    run = np.where(np.isfinite(width), peaks.pieces(stripe), -1)
     growths: list[float] = []
     by_chance, last = True, np.inf
     for lag in _LAGS:
@@ -208,7 +200,7 @@ def _variances(seen: Sequence[SeenLine], scales: Sequence[float]) -> list[Floats
     weighted = np.zeros((2 * max(reach) + 1, len(row)))  # (n, K): n is short
     for (_, light, _), at, end, far, scale in zip(seen, valued, ends, reach, scales, strict=True):
         part, beside = slice(end - len(at), end), max(reach) - far
-        grey = windows(light, at, row[part], far).T
+        grey = peaks.windows(light, at, row[part], far).T
         weight = np.exp(-0.5 * (np.arange(-far, far + 1) / scale) ** 2)[:, None]
         ground = grey[[0, 1, -2, -1]].mean(axis=0)
         weighted[beside : len(weighted) - beside, part] = weight * (grey - ground)
@@ -337,7 +329,7 @@ def extract_stripes(
     stripes = _call_extractor(
         extractor, [(one.chosen.image, one.known, one.chosen.clipped) for one in seen]
     )
-    return batch_by_kind(
+    return peaks.batch_by_kind(
         _complete_stripes, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind
     )
 
@@ -371,27 +363,27 @@ def _complete_stripes(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stri
     white = [seen.light.white for seen in found_in if seen.light.white is not None]
     made_up = np.concatenate(white) if white else None
     clipped = np.concatenate([seen.chosen.clipped.T for seen in found_in])
-    whole = join_stripes([stripe for stripe, _ in found])
+    whole = peaks.join_stripes([stripe for stripe, _ in found])
     whole = _mark_saturated(whole, clipped, made_up, settings.span_px)
     whole = withhold(whole, np.concatenate([seen.chosen.ambiguous for seen in found_in]))
-    stripes = list(map(_doubt_by_target, split_stripe(whole, len(found)), found_in))
+    stripes = list(map(_doubt_by_target, peaks.split_stripe(whole, len(found)), found_in))
     if settings.noise is None:
         crests = [seen.chosen.crest for seen in found_in]
         stripes = at_least_seen(list(zip(stripes, lights, crests, strict=True)))
     for place, light in enumerate(lights):
         stripe = correct_blur(stripes[place], settings, light)
         stripes[place] = smooth(stripe, settings.smooth_px)
-    whole = join_stripes(stripes)
-    return split_stripe(replace(whole, flux=core_flux(whole, *lights)), len(found))
+    whole = peaks.join_stripes(stripes)
+    return peaks.split_stripe(replace(whole, flux=peaks.core_flux(whole, *lights)), len(found))
 
 
 def _doubt_by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
     """The stripe with what the target about the line makes doubtful."""
     light, threshold_dn = seen.chosen.image.T, seen.known.threshold_dn
     if seen.chosen.textured:
-        stripe = doubt_beside_edge(stripe, light, seen.light.grey, threshold_dn)
+        stripe = peaks.doubt_beside_edge(stripe, light, seen.light.grey, threshold_dn)
     if seen.light.others is not None:
-        stripe = doubt_beside_edge(stripe, light, seen.light.others, threshold_dn)
+        stripe = peaks.doubt_beside_edge(stripe, light, seen.light.others, threshold_dn)
     return stripe
 
 
@@ -480,10 +472,10 @@ def _mark_saturated(stripe: Stripe, clipped: Mask, white: Mask | None, span_px: 
     gave an entry as SATURATED has allowed for that itself, but not for white crests (N, L), whose
     light is made up.
     """
-    at = clipped_near(stripe, clipped, span_px)
+    at = peaks.clipped_near(stripe, clipped, span_px)
     if len(at) == 0:
         return stripe
-    made_up = at[:0] if white is None else clipped_near(stripe, white, span_px)
+    made_up = at[:0] if white is None else peaks.clipped_near(stripe, white, span_px)
     at = at[(stripe.status[at] == Status.OK) | np.isin(at, made_up)]
     status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
     status[at] = Status.SATURATED
@@ -684,12 +676,8 @@ def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
     # A view with one row per entry of the stripe: what is painted there is in the picture.
     lines = canvas.transpose(1, 0, 2) if stripe.axis == "columns" else canvas
     if len(stripe.status) != len(lines):
-        raise InputError(
-            "stripe is not of the picture's size",
-            where="draw_stripe",
-            value=len(stripe.status),
-            allowed=f"{len(lines)} {stripe.axis}",
-        )
+        what, allowed = "stripe is not of the picture's size", f"{len(lines)} {stripe.axis}"
+        raise InputError(what, where="draw_stripe", value=len(stripe.status), allowed=allowed)
     colours = _COLOURS[stripe.status]
     lines[:, :_EDGE_PX] = colours[:, None]
     valued = np.flatnonzero(has_value(stripe.status))

@@ -246,8 +246,7 @@ def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
         return columns[sample_of(len(columns))]
     seen = columns[peaks.columns[sample]]
     around = all_windows(np.concatenate([seen, seen], axis=1), height - 2 * reach)
-    aside: GreyValues = around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height]
-    return aside
+    return around[np.arange(len(sample)), (peaks.rows[sample] + reach) % height]
 
 
 def _sample(count: int) -> Ints:
@@ -350,8 +349,7 @@ def weak_precision(start: Floats) -> Floats:
     width, height = np.exp(start[:, LN_WIDTH]), np.exp(start[:, LN_HEIGHT])
     factor = np.full(len(start), np.log(20.0))
     spread = np.column_stack([10 * width, factor, factor, height, height / (10 * width)])
-    precision: Floats = spread**-2
-    return precision
+    return spread**-2
 
 
 def _between(fit: LineFit, which: int, sample: Ints, count: int) -> Guess:

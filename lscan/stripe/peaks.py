@@ -512,10 +512,7 @@ class Relief:
 
 
 def relief_of(
-    columns: GreyValues,
-    ground_px: int = GROUND_PX,
-    sharp: bool = False,
-    rows: slice = slice(None),
+    columns: GreyValues, ground_px: int = GROUND_PX, sharp: bool = False, rows: slice = slice(None)
 ) -> Relief:
     """The columns with the ground beneath their lines.
 

@@ -367,8 +367,7 @@ def choose_return(
     columns = np.ascontiguousarray(image.T)
     crest, count = crests(columns), len(columns)
     spots = spots_near(columns, settings.threshold_dn)
-    if spots is None:
-        spots = spots_of(relief_of(columns), settings.threshold_dn)
+    spots = spots_of(relief_of(columns), settings.threshold_dn) if spots is None else spots
     run = runs_of(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
     rivals = np.count_nonzero(np.diff(spots.column) == 0)

@@ -111,8 +111,7 @@ class _Ground:
         """The ground (K, n) under the lines of ``grey``."""
         level = (self.level * grey).sum(axis=1, keepdims=True)
         slope = (self.slope * grey).sum(axis=1, keepdims=True)
-        values: Floats = level + slope * self.steps
-        return values
+        return level + slope * self.steps
 
     def carried(self, derivative: Floats) -> Floats:
         """The derivative (K, n) by the grey values of what has ``derivative`` by the light."""
@@ -386,8 +385,7 @@ def _gain(powers: Floats, weight: Floats) -> Floats:
 
 def _coefficients(gain: Floats, light: Floats) -> Floats:
     """(K, 3) coefficients of the parabola through the logarithms of ``light`` (K, n)."""
-    coefficients: Floats = (gain @ np.log(light)[..., None])[..., 0]
-    return coefficients
+    return (gain @ np.log(light)[..., None])[..., 0]
 
 
 # Blais and Rioux's peak detector: the zero crossing of a filtered derivative.

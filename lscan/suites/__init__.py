@@ -22,20 +22,7 @@ from lscan.suites.files import (
 )
 
 __all__ = [
-    "BoardCase",
-    "CaseTruth",
-    "LightLayers",
-    "ScanCase",
-    "Suite",
-    "SuiteCase",
-    "SuiteContent",
-    "axes_of",
-    "find_suite",
-    "is_written",
-    "open_suite",
-    "pack_suite",
-    "suites_found",
-    "verify_suite",
-    "write_case",
-    "write_manifest",
-]
+    "BoardCase", "CaseTruth", "LightLayers", "ScanCase", "Suite", "SuiteCase", "SuiteContent",
+    "axes_of", "find_suite", "is_written", "open_suite", "pack_suite", "suites_found",
+    "verify_suite", "write_case", "write_manifest",
+]  # fmt: skip

@@ -23,7 +23,7 @@ from lscan.config.documents import Model, Strict, check
 from lscan.config.plugins import refuse_code
 from lscan.config.rig import OpticsSection, Rig, StripeSection
 from lscan.errors import InputError
-from lscan.files.disk import parse_json
+from lscan.files.jsonfiles import parse_json
 from lscan.files.pictures import encoded, read_png
 from lscan.records import Bytes, Floats, Ints, Marks, Status
 
@@ -101,9 +101,8 @@ def read_manifest(data: bytes, where: object) -> SuiteContent:
         version = document.get("version") if isinstance(document, dict) else None
         if version != VERSION:
             allowed = f"{VERSION}; lscan-sim suite make renders it anew"
-            raise InputError(
-                f"{MANIFEST} is of another version", where=where, value=version, allowed=allowed
-            )
+            what = f"{MANIFEST} is of another version"
+            raise InputError(what, where=where, value=version, allowed=allowed)
     except UnicodeDecodeError as error:
         raise InputError(f"{MANIFEST} is no manifest of a suite", where=where) from error
     content = check(SuiteContent, document, where=where, prefix=MANIFEST)

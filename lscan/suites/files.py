@@ -17,8 +17,9 @@ from typing import Any
 
 from lscan.config.plugins import broken_plugin, find_entry, installed
 from lscan.errors import InputError
+from lscan.files.cache import cache_folder
 from lscan.files.containers import ReadMember, open_zip
-from lscan.files.disk import cache_folder, make_folder, read_bytes, write_atomically
+from lscan.files.disk import make_folder, read_bytes, write_atomically
 from lscan.suites.content import (
     KINDS,
     MANIFEST,

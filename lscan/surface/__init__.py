@@ -7,18 +7,7 @@ from lscan.surface.grid import HeightGrid, grid_cells
 from lscan.surface.surface import Slice, resample, stack
 
 __all__ = [
-    "Alignment",
-    "HeightGrid",
-    "Slice",
-    "align_sandwave",
-    "apply",
-    "grid_cells",
-    "level",
-    "levelling_step",
-    "load_surface",
-    "resample",
-    "save_points",
-    "save_surface",
-    "shear",
+    "Alignment", "HeightGrid", "Slice", "align_sandwave", "apply", "grid_cells", "level",
+    "levelling_step", "load_surface", "resample", "save_points", "save_surface", "shear",
     "stack",
-]
+]  # fmt: skip

@@ -19,17 +19,7 @@ import numpy as np
 from lscan.config.targets import Sandwave
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Surface
-from lscan.surface.alignment import (
-    YAW,
-    Alignment,
-    Datum,
-    level,
-    own_variances,
-    parameter_modes,
-    plane_normal,
-    shear,
-    turned_modes,
-)
+from lscan.surface import alignment
 from lscan.surface.edges import EdgeCrossings, EdgeFit, fit_edges, fit_fading
 from lscan.surface.features import Features, faces_beside, find_features
 from lscan.surface.surface import require_head_frame
@@ -65,14 +55,14 @@ class BlockPose:
 
     def place(self, raw: Floats) -> Floats:
         """(..., 3) workpiece points of raw ones (..., 3), mm."""
-        return raw @ (self.rotation @ shear(self.yaw)).T + self.shift
+        return raw @ (self.rotation @ alignment.shear(self.yaw)).T + self.shift
 
     def plan(self, raw: Floats) -> Floats:
         """(K, 2) of raw points (K, 3), mm."""
         return self.place(raw)[:, :2]
 
 
-def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> Alignment:
+def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> alignment.Alignment:
     """The alignment of a raw scan of the sandwave block with its workpiece frame.
 
     Edges are first taken to lie beyond the last samples on them.  Where the surface knows the
@@ -111,18 +101,17 @@ def align_sandwave(surface: Surface, piece: Sandwave, sheared: bool = True) -> A
     for window in WINDOWS_MM:
         selected = _select(features, pose, piece, window)
         pose, edges = _refine(features.tops, _by_crossings(selected, piece), pose, piece, sheared)
-    fading = _by_fading(surface, pose, edges, list(selected), piece)
-    if fading is not None:
+    if (fading := _by_fading(surface, pose, edges, list(selected), piece)) is not None:
         pose, edges = _refine(features.tops, fading, pose, piece, sheared)
     datum = _datum(surface, features, selected, pose, edges, sheared)
-    modes = turned_modes(surface, pose.rotation @ shear(pose.yaw), datum.index)
-    errors = parameter_modes(datum, modes)
-    return Alignment(
+    modes = alignment.turned_modes(surface, pose.rotation @ alignment.shear(pose.yaw), datum.index)
+    errors = alignment.parameter_modes(datum, modes)
+    return alignment.Alignment(
         yaw_rad=pose.yaw,
-        yaw_sigma_rad=float(np.linalg.norm(errors[YAW])),
+        yaw_sigma_rad=float(np.linalg.norm(errors[alignment.YAW])),
         rotation=pose.rotation,
         translation_mm=pose.shift,
-        normal=plane_normal(features.tops @ shear(pose.yaw).T),
+        normal=alignment.plane_normal(features.tops @ alignment.shear(pose.yaw).T),
         base_mm=piece.wedge.height_mm,
         left_corner_mm=edges.corners[0],
         right_corner_mm=edges.corners[1],
@@ -152,8 +141,8 @@ def _pose_at(
     tops: Floats, yaw: float, turn: float, raw_middle: Floats, piece: Sandwave
 ) -> BlockPose:
     """The pose that brings the raw point (3,) between the corners to its nominal place."""
-    rotation = _rotation_about_z(-turn) @ level(tops @ shear(yaw).T)
-    matrix = rotation @ shear(yaw)
+    rotation = _rotation_about_z(-turn) @ alignment.level(tops @ alignment.shear(yaw).T)
+    matrix = rotation @ alignment.shear(yaw)
     height = piece.wedge.height_mm - float((tops @ matrix[2]).mean())
     shift = _nominal_middle(piece) - (matrix @ raw_middle)[:2]
     return BlockPose(yaw, turn, np.array([*shift, height]), rotation)
@@ -229,7 +218,7 @@ def _refine(
             yaw_error, turn_error = 0.0, -float(np.arctan(edges.fit.lean))
         middle = edges.middle
         # About the place the middle of the corners has.
-        inverse = np.linalg.inv(pose.rotation @ shear(pose.yaw))
+        inverse = np.linalg.inv(pose.rotation @ alignment.shear(pose.yaw))
         raw_middle = inverse @ (np.array([*middle, piece.wedge.height_mm]) - pose.shift)
         pose = _pose_at(tops, pose.yaw - yaw_error, pose.turn + turn_error, raw_middle, piece)
         shift = float(np.abs(middle - _nominal_middle(piece)).max()) / piece.side_mm
@@ -325,7 +314,7 @@ def _datum(
     pose: BlockPose,
     edges: _Edges,
     sheared: bool,
-) -> Datum:
+) -> alignment.Datum:
     """What the alignment was made from, in the workpiece frame that it leads to.
 
     Edges not found by brightness are each off by some part of a column of its own, an even
@@ -335,10 +324,10 @@ def _datum(
     blind, yaw_variance = 0.0, 0.0
     if not edges.by_brightness:
         blind, yaw_variance = _median_gap(selected.values()) ** 2 / 12, _sampling_variance(selected)
-    return Datum(
+    return alignment.Datum(
         tops=pose.place(features.tops),
         top_index=features.top_index,
-        top_sigma_mm=np.sqrt(own_variances(surface)[..., 2].ravel()[features.top_index]),
+        top_sigma_mm=np.sqrt(alignment.own_variances(surface)[..., 2].ravel()[features.top_index]),
         edges=[edge.moved(pose.place) for edge in selected.values()],
         edge_covariance=edges.fit.covariance + blind * np.diag([0.0, *np.ones(len(selected))]),
         yaw_variance=yaw_variance,

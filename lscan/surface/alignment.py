@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field, model_validator
 from scipy.linalg import block_diag
 
-from lscan.calibration.planemap import Matrix, Place, Vector, check_covariance, of_length
+from lscan.calibration.fields import Matrix, Place, Vector, check_covariance, of_length
 from lscan.config.documents import Strict, check
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
-from lscan.files.disk import read_json, write_json
+from lscan.files.jsonfiles import read_json, write_json
 from lscan.records import Floats, Ints, Provenance, Surface
 from lscan.surface.edges import EdgeCrossings
 from lscan.surface.surface import StoredProvenance, require_head_frame
@@ -564,9 +564,8 @@ def save_alignment(
         Where the scan was made about a shaft, or the file cannot be written.
     """
     if not alignment.sheared:
-        raise InputError(
-            "a scan about a shaft has no yaw to keep", where=path, allowed="a linear track"
-        )
+        what = "a scan about a shaft has no yaw to keep"
+        raise InputError(what, where=path, allowed="a linear track")
     modes = alignment.modes * IN_FILE[:, None]
     count = modes.shape[1] - PARAMETERS
     own = modes[:, count:]

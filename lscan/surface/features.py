@@ -63,9 +63,8 @@ def find_features(surface: Surface, piece: Sandwave) -> Features:
     """
     valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
     if valid.sum() < 100:
-        raise MeasurementError(
-            f"the surface holds {int(valid.sum())} measured points: no sandwave block in it"
-        )
+        what = f"the surface holds {int(valid.sum())} measured points: no sandwave block in it"
+        raise MeasurementError(what)
     height, plane = _height_above_rim(surface.xyz_mm, valid, piece)
     spacing = _column_spacing(surface.xyz_mm, valid)
     block = valid & (height > -(piece.body_mm + _crest(piece)) / 2)
@@ -247,12 +246,7 @@ def _sample_area(xyz: Floats, valid: Mask) -> float:
 
 
 def _crossings(
-    xyz: Floats,
-    mask: Mask,
-    direction: int,
-    spacing: Floats,
-    slope: float,
-    open_end: Mask | None,
+    xyz: Floats, mask: Mask, direction: int, spacing: Floats, slope: float, open_end: Mask | None
 ) -> EdgeCrossings:
     """The outermost sample of ``mask`` in each row towards ``direction`` (+1: greater x).
 

@@ -94,8 +94,7 @@ def _names_to_read(
     needed: tuple[str, ...], optional: tuple[str, ...], path: Path, there: Collection[str]
 ) -> list[str]:
     """Names of the arrays to read, of those that are there."""
-    missing = [name for name in needed if name not in there]
-    if missing:
+    if missing := [name for name in needed if name not in there]:
         allowed = ", ".join(needed)
         raise InputError("is not a surface of lscan", where=path, value=missing, allowed=allowed)
     if "sigma_calibration" in there and "modes" not in there:
@@ -349,8 +348,7 @@ def _angle(path: Path, attributes: Mapping[str, Any], name: str) -> float | None
 
 def _provenance(path: Path, attributes: Mapping[str, Any]) -> Provenance | None:
     """What the file says the surface was made from, None of an older one, which says nothing."""
-    known = {name: attributes[name] for name in PROVENANCE if name in attributes}
-    if not known:
+    if not (known := {name: attributes[name] for name in PROVENANCE if name in attributes}):
         return None
     pictures = np.asarray(known.get("pictures", ""))
     if pictures.dtype.kind in "iu" and pictures.size == 1:
@@ -371,12 +369,9 @@ def _require_whole_modes(path: Path, modes: Floats, common: Floats | None, there
     stated = common[there]
     apart = np.abs(total - stated) > UNLIKE * (stated + np.median(stated))
     if np.isnan(stated).any() or apart.any():
-        raise InputError(
-            f"modes: are not those whose size {COMMON} states",
-            where=path,
-            value=f"{int(apart.sum())} points",
-            allowed="all modes, as the file was written with",
-        )
+        what = f"modes: are not those whose size {COMMON} states"
+        allowed = "all modes, as the file was written with"
+        raise InputError(what, where=path, value=f"{int(apart.sum())} points", allowed=allowed)
 
 
 def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:

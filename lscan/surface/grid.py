@@ -97,12 +97,8 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
     place = np.floor(xyz[:, :2] / cell_mm).astype(int) - low
     columns, rows = (int(n) for n in place.max(axis=0) + 1)
     if columns * rows > LARGEST_GRID:
-        raise InputError(
-            "gives too many cells",
-            where="grid: cell_mm",
-            value=f"{columns} x {rows}",
-            allowed=f"at most {LARGEST_GRID}",
-        )
+        what, allowed = "gives too many cells", f"at most {LARGEST_GRID}"
+        raise InputError(what, where="grid: cell_mm", value=f"{columns} x {rows}", allowed=allowed)
     x, y = ((low[k] + np.arange(n) + 0.5) * cell_mm for k, n in enumerate((columns, rows)))
     offset = (xyz[:, :2] - np.column_stack([x[place[:, 0]], y[place[:, 1]]])) / (cell_mm / 2)
     samples, enclosed = _cell_weights(place[:, 1] * columns + place[:, 0], offset, cell_mm / 2)
@@ -119,8 +115,7 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
     variance = _own_variance(surface, valid, samples, slopes)
     if bias_mm is not None:
         variance += samples.total(samples.weight[0] * bias_mm[valid][samples.order]) ** 2
-    modes = _modes(surface, valid, samples, slopes)
-    if modes is not None:
+    if (modes := _modes(surface, valid, samples, slopes)) is not None:
         variance += (modes**2).sum(axis=-1)
     z = spread(height, np.nan)
     return HeightGrid(
@@ -139,12 +134,8 @@ def _check(surface: Surface, cell_mm: float, bias_mm: Floats | None, any_point: 
     if not (np.isfinite(cell_mm) and cell_mm > 0):
         raise InputError("is not a size", where="grid: cell_mm", value=cell_mm, allowed="> 0 mm")
     if bias_mm is not None and bias_mm.shape != surface.status.shape:
-        raise InputError(
-            "is not of the surface's shape",
-            where="grid: bias_mm",
-            value=bias_mm.shape,
-            allowed=str(surface.status.shape),
-        )
+        what, allowed = "is not of the surface's shape", str(surface.status.shape)
+        raise InputError(what, where="grid: bias_mm", value=bias_mm.shape, allowed=allowed)
     if not any_point:
         raise MeasurementError("the surface holds no measured point to grid")
 

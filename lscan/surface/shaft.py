@@ -113,10 +113,8 @@ class Shaft:
         """
         turned = points_mm - self.point_mm
         rotation = self.rotation(position_mm)
-        columns = []
         own = self.axes if axes is None else axes
-        for axis in own:
-            columns.append(np.broadcast_to(axis - rotation @ axis, turned.shape))
+        columns = [np.broadcast_to(axis - rotation @ axis, turned.shape) for axis in own]
         for axis in own:
             about = np.cross(self.direction, axis)
             columns.append(np.cross(about, turned) - np.cross(rotation @ about, turned))
@@ -328,10 +326,8 @@ def calibrate_shaft(profiles: Sequence[Profile], piece: Sandwave, prior: Shaft) 
     is Huber's (1967), summed over clusters as of Liang and Zeger (1986).
     """
     if not np.any(prior.covariance):
-        raise InputError(
-            "shaft: is stated to be known exactly, which leaves nothing to find",
-            allowed="offset_sigma_mm, tilt_sigma_deg or scale_sigma above 0",
-        )
+        what = "shaft: is stated to be known exactly, which leaves nothing to find"
+        raise InputError(what, allowed="offset_sigma_mm, tilt_sigma_deg or scale_sigma above 0")
     roughly = stack_about(profiles, prior)
     pose = rough_pose(find_features(roughly, piece), piece)
     height = roughly.xyz_mm @ pose.rotation[2] + pose.shift[2]
@@ -437,9 +433,8 @@ def _solve(
         state = state.after_step(step, pivot)
         if length < SETTLED and iteration >= UNDECIDED_ITERATIONS:
             return state, _widen_sigmas(_terms(samples, piece, prior, state, pivot), kept), kept
-    raise MeasurementError(
-        f"the shaft did not settle in {MAX_ITERATIONS} rounds: still {length:.2g} sigma a step"
-    )
+    what = f"the shaft did not settle in {MAX_ITERATIONS} rounds: still {length:.2g} sigma a step"
+    raise MeasurementError(what)
 
 
 def _terms(

@@ -164,12 +164,9 @@ def require_head_frame(surface: Surface) -> None:
     surface : Surface
     """
     if surface.frame != "head":
-        raise InputError(
-            "is aligned already",
-            where="surface",
-            value=surface.frame,
-            allowed="the head frame, as of a rig that names no sandwave in [workpiece]",
-        )
+        what = "is aligned already"
+        allowed = "the head frame, as of a rig that names no sandwave in [workpiece]"
+        raise InputError(what, where="surface", value=surface.frame, allowed=allowed)
 
 
 def _require_one(what: str, found: set[int], allowed: str) -> None:
@@ -345,12 +342,9 @@ def _neighbours(surface: Surface, valid: Mask, xy: Floats, radius: float) -> _Ne
     if surface.modes_mm is not None:
         modes = surface.modes_mm[near][index].astype(float)
     common = np.square(modes[..., [0, 2], :]).sum(axis=-1)
+    offset, z_mm = (points[index][..., :2] - xy[:, None]) / radius, points[index][..., 2]
     return _Near(
-        offset=(points[index][..., :2] - xy[:, None]) / radius,
-        z_mm=points[index][..., 2],
-        used=used,
-        own_mm2=np.maximum(total - common, 0.0),
-        modes_mm=modes,
+        offset=offset, z_mm=z_mm, used=used, own_mm2=np.maximum(total - common, 0.0), modes_mm=modes
     )
 
 

@@ -176,8 +176,7 @@ def relief_blocks(surface: Surface, sheet: SheetSection, yaw_rad: float) -> Iter
         return
     every = np.arange(shape[1])
     whole = _LaidBlock(lattice.height, every, np.broadcast_to(every, shape), 0, 1.0)
-    usual = _spectrum(lattice, whole)
-    if usual is None:
+    if (usual := _spectrum(lattice, whole)) is None:
         return
     for rows, columns, weight in _blocks(shape):
         laid = _lay_along(lattice, rows, columns)

@@ -146,7 +146,7 @@ def assert_no_worse(
             saved_run,
             write_suite_run,
         )
-        from lscan.files.disk import write_json
+        from lscan.files.jsonfiles import write_json
 
         file = request.path.parent / baseline
         if request.config.getoption(UPDATE):
@@ -158,8 +158,7 @@ def assert_no_worse(
             return
         if not file.exists():
             pytest.fail(f"no baseline {file}: pytest {UPDATE} writes it", pytrace=False)
-        worse = [one for one in compare_saved(result, file) if one.worse]
-        if worse:
+        if worse := [one for one in compare_saved(result, file) if one.worse]:
             write_suite_run(tmp_path, result, ())
             pytest.fail("\n".join([
                 *(one.in_words for one in worse),

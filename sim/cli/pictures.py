@@ -13,7 +13,7 @@ from lscan.config.scenes import scenes_folder
 from lscan.errors import InputError
 from lscan.paper.experiment import Experiment
 from lscan.paper.report import results_json
-from sim.cli.arguments import OutputFolder, PaperFolder, Quick, SceneFile, show_places
+from sim.cli.app import OutputFolder, PaperFolder, Quick, SceneFile, show_places
 from sim.datasets.files import taken_at, taken_in, write_render, write_truth
 from sim.datasets.views import write_views
 from sim.devices import load_checked
@@ -114,7 +114,6 @@ def _experiment_lines(experiment: Experiment) -> Iterator[str | Table]:
         rows.append([method, rms, max(abs(length.error_mm) for length in lengths)])
     title = "Tables I and II by the paper's maps and the baselines"
     yield table(title, ["plane map", "rms error mm", "largest mm"], rows)
-    yaw_deg = experiment.sandwave.alignment.yaw_deg
-    if yaw_deg is not None:
+    if (yaw_deg := experiment.sandwave.alignment.yaw_deg) is not None:
         yield (f"yaw: {yaw_deg:.3f} deg, truth {truth.yaw_deg:.3f} deg")
     yield from chain_lines(experiment)

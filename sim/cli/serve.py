@@ -13,7 +13,7 @@ from lscan.config.documents import check
 from lscan.devices.signals import ignore_stop_signals, on_stop_signals
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, read_text
-from sim.cli.arguments import show_places
+from sim.cli.app import show_places
 from sim.devices import load_checked
 from sim.emulators.hardware import HEADING, EmulatedHardware, parse_fault
 from sim.emulators.track import ServeOptions

@@ -7,17 +7,9 @@ from typing import get_args
 from rich.table import Table
 from typer import Argument, Option
 
-from lscan.cli.console import (
-    Json,
-    keep_notes_when_stopped,
-    note,
-    one_of,
-    progress_bar,
-    show,
-    table,
-)
+from lscan.cli.console import Json, keep_notes_when_stopped, note, one_of, progress_bar, show, table
 from lscan.config.scenes import scenes_folder
-from sim.cli.arguments import STUDIES, OutputFolder, ScenesFolder, worker_processes
+from sim.cli.app import STUDIES, OutputFolder, ScenesFolder, worker_processes
 from sim.studies.budget import DesignTrial, OutputBudget
 from sim.studies.indices import Bounded
 from sim.studies.page import figure, kept, largest
@@ -40,7 +32,7 @@ def study(
     json: Json = False,
 ) -> None:
     """Find where the error of a rig comes from: a budget, cause by cause, with intervals."""
-    from sim.studies.run.running import StudyOptions  # loads Mitsuba
+    from sim.studies.running import StudyOptions  # loads Mitsuba
     from sim.studies.study import run_study
 
     how = worker_processes(workers, processes)

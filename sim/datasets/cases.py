@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from lscan.calibration.planemap import joined_marks
+from lscan.calibration.marks import joined_marks
 from lscan.config.documents import Document
 from lscan.config.rig import inline_board, parse_rig
 from lscan.config.targets import Sandwave
@@ -37,8 +37,7 @@ def _exposed(
     stream: of the noise, beside the sensor's seed.  exposure_ms: None: as the scene says.
     """
     webcam = Webcam(scene)
-    if exposure_ms is None:
-        exposure_ms = exposure_of(scene, webcam, layers)
+    exposure_ms = exposure_of(scene, webcam, layers) if exposure_ms is None else exposure_ms
     rng = np.random.default_rng([scene.tank.sensor.seed, *stream])
     return webcam.expose(layers, exposure_ms, rng), exposure_ms
 
@@ -61,15 +60,9 @@ def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: Layers)
     """
     pixels, places = _map(scene)
     return BoardCase(
-        name,
-        axes,
-        _exposed(scene, layers, 1)[0],
-        scene.board(),
-        scene.rig.optics,
-        joined_marks(board_truth(scene, scene.rig.plan.start_mm).centres),
-        pixels,
-        places,
-    )
+        name, axes, _exposed(scene, layers, 1)[0], scene.board(), scene.rig.optics,
+        joined_marks(board_truth(scene, scene.rig.plan.start_mm).centres), pixels, places,
+    )  # fmt: skip
 
 
 def _map(scene: Scene) -> tuple[Floats, Floats]:
@@ -120,18 +113,13 @@ def line_case(
     """
     picture, exposure_ms = _exposed(scene, layers, 1)
     shown = truths if scene.tank.laser.on else ()
-    none = np.zeros_like(layers.ambient)
-    unlit = replace(layers, direct=none, scattered=none)
     return SuiteCase(
-        name,
-        axes,
-        picture,
-        _exposed(scene, unlit, 2, exposure_ms=exposure_ms)[0] if pair else None,
+        name, axes, picture,
+        _exposed(scene, layers.without_laser(), 2, exposure_ms=exposure_ms)[0] if pair else None,
         label_scene(scene, scene.rig.plan.start_mm, layers, shown, exposure_ms),
-        _truth_of(scene, truths, exposure_ms),
-        scene.rig.stripe,
+        _truth_of(scene, truths, exposure_ms), scene.rig.stripe,
         _layers_in_dn(scene, layers, exposure_ms),
-    )
+    )  # fmt: skip
 
 
 def _layers_in_dn(scene: Scene, layers: Layers, exposure_ms: float) -> LightLayers | None:
@@ -164,13 +152,10 @@ def _truth_of(scene: Scene, truths: Sequence[StripeTruth], exposure_ms: float) -
         return np.where(some, chosen, np.nan)
 
     return CaseTruth(
-        of([one.centre_px for one in truths]),
-        of([one.width_px for one in lights]),
-        of([one.height_dn for one in lights]),
-        of([one.noise_dn for one in lights]),
-        (several | hidden).astype(np.int64),
-        status.astype(np.int64),
-    )
+        of([one.centre_px for one in truths]), of([one.width_px for one in lights]),
+        of([one.height_dn for one in lights]), of([one.noise_dn for one in lights]),
+        (several | hidden).astype(np.int64), status.astype(np.int64),
+    )  # fmt: skip
 
 
 def turned_case(case: SuiteCase) -> SuiteCase:
@@ -299,14 +284,10 @@ def _case(
 ) -> ScanCase:
     lights = line_brightness(case.scan, truths, [exposure_ms for _, exposure_ms in frames])
     return ScanCase(
-        case.name,
-        case.axes,
-        board_case(case.board, case.name, case.axes, board),
-        tuple(picture for picture, _ in frames),
-        case.scan.rig,
+        case.name, case.axes, board_case(case.board, case.name, case.axes, board),
+        tuple(picture for picture, _ in frames), case.scan.rig,
         np.stack([truth.xz_mm for truth in truths]),
         np.stack([light.height_dn for light in lights]),
         np.stack([truth.multiple for truth in truths]).astype(np.int64),
-        np.stack([truth.status for truth in truths]).astype(np.int64),
-        *slices,
-    )
+        np.stack([truth.status for truth in truths]).astype(np.int64), *slices,
+    )  # fmt: skip

@@ -11,14 +11,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lscan.errors import InputError
+from lscan.files.cache import long_work
 from lscan.files.datasets import MANIFEST, MOST_PICTURES, VERSION
-from lscan.files.disk import (
-    list_names,
-    long_work,
-    remove_temporaries,
-    write_atomically,
-    write_json,
-)
+from lscan.files.disk import list_names, remove_temporaries, write_atomically
+from lscan.files.jsonfiles import write_json
 from lscan.records import Progress
 from lscan.version import __version__
 from sim.datasets.datasetshards import (
@@ -33,7 +29,7 @@ from sim.datasets.datasetshards import (
 )
 from sim.datasets.datasetspec import DatasetSpec
 from sim.datasets.labels import CORE, Label
-from sim.studies.run.executor import in_order, keep_identity, locked_folder, open_workers
+from sim.studies.executor import in_order, keep_identity, locked_folder, open_workers
 
 IDENTITY = "identity.json"
 TRIED = 3  # pictures that the estimate is made from; the first may compile
@@ -139,9 +135,7 @@ def _tasks(spec: DatasetSpec, folder: Path, count: int, form: Format) -> list[Sh
 def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -> str:
     """How long the shards will take, from the first few pictures."""
     tried = replace(tasks[0], count=min(TRIED, tasks[0].count))
-    times = [time.perf_counter()]
-    for _ in rendered(tried):
-        times.append(time.perf_counter())
+    times = [time.perf_counter(), *(time.perf_counter() for _ in rendered(tried))]
     picture_s = min(after - before for before, after in pairwise(times))
     tank_s = max(times[1] - times[0] - picture_s, 0.0)
     count = sum(task.count for task in tasks)

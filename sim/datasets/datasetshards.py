@@ -20,15 +20,13 @@ from lscan.errors import InputError, LscanError
 from lscan.files.datasets import MEMBERS, run_lengths, shard_sha256
 from lscan.files.disk import (
     disk_errors,
-    json_text,
     list_names,
     make_folder,
-    read_json,
     sync_folder,
     temporary_name,
     write_atomically,
-    write_json,
 )
+from lscan.files.jsonfiles import json_text, read_json, write_json
 from lscan.files.pictures import encoded
 from sim.datasets.datasetspec import POSITION, DatasetSpec
 from sim.datasets.labels import Label, label_scene, line_columns, lit_truths, one_step_w_m2_sr
@@ -189,8 +187,7 @@ def rendered(
     """
     from sim.render.tank import Tank
 
-    keys = [key for key in task.keys if key not in but]
-    if not keys:
+    if not (keys := [key for key in task.keys if key not in but]):
         return
     try:
         base, drawn = task.spec.tank(task.number)
@@ -225,14 +222,11 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
     scene : Scene, of the picture
     drawn : mapping, its numbers; that of POSITION says where the head stands
     """
-    from sim.devices import metered
+    from sim.devices import take_picture
     from sim.render.tank import surfaces_seen
-    from sim.sensor import Webcam
 
     at = at_moment(scene, 0, drawn[POSITION])
-    webcam = Webcam(at.scene)
-    layers, exposure_ms = metered(at.scene, tank, webcam, at.position_mm)
-    image = webcam.expose(layers, exposure_ms, np.random.default_rng([scene.tank.sensor.seed, 1]))
+    image, layers, exposure_ms = take_picture(at.scene, tank, at.position_mm)
     truths = lit_truths(at.scene, at.position_mm)
     labels = label_scene(at.scene, at.position_mm, layers, truths, exposure_ms)
     step = one_step_w_m2_sr(at.scene)

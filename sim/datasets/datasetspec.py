@@ -9,14 +9,7 @@ from typing import Annotated, Self, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.config.documents import (
-    Document,
-    Strict,
-    by_content,
-    check,
-    named_files,
-    read_document,
-)
+from lscan.config.documents import Document, Strict, by_content, check, named_files, read_document
 from lscan.config.scenes import included_file, spec_file
 from lscan.errors import InputError
 from sim.devices import load_checked
@@ -62,8 +55,7 @@ class DatasetFile(Strict):
     @model_validator(mode="after")
     def _each_key_once(self) -> Self:
         keys = [key for one in self.drawn.values() for key in (one.key, *one.together)]
-        twice = sorted({key for key in keys if keys.count(key) > 1})
-        if twice:
+        if twice := sorted({key for key in keys if keys.count(key) > 1}):
             raise ValueError(f"drawn: {', '.join(twice)} is drawn twice")
         return self
 

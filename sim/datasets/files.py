@@ -59,9 +59,8 @@ def write_render(
         Where position or samples are out of range, or the disk refuses.
     """
     from sim.datasets.labels import check_sampling, colour_labels, label_scene
-    from sim.devices import metered
+    from sim.devices import take_picture
     from sim.render.tank import Tank
-    from sim.sensor import Webcam
 
     _check_place(position_mm)
     if samples is not None:
@@ -69,10 +68,7 @@ def write_render(
     at = at_moment(scene, 0, position_mm)
     if samples is not None:
         check_sampling(at.scene, at.position_mm, samples, where="--samples")
-    webcam = Webcam(at.scene)
-    layers, exposure_ms = metered(at.scene, Tank(scene), webcam, at.position_mm, samples)
-    generator = np.random.default_rng([scene.tank.sensor.seed, 1])
-    image = webcam.expose(layers, exposure_ms, generator)
+    image, layers, exposure_ms = take_picture(at.scene, Tank(scene), at.position_mm, samples)
     make_folder(folder)
     files = {
         "picture": folder / "picture.png",
@@ -195,9 +191,8 @@ def write_truth(
     if scene.tank.target.shape == "board":
         makers["board"], tables["board"] = partial(_board_rows, scene), [BOARD_COLUMNS]
     if not makers:
-        raise InputError(
-            "no truth to write: the laser is off and the target is no board", where=scene.source
-        )
+        what = "no truth to write: the laser is off and the target is no board"
+        raise InputError(what, where=scene.source)
     for first in range(0, len(taken), AT_ONCE):
         for name, rows in makers.items():
             tables[name] += rows(taken[first : first + AT_ONCE])
@@ -217,9 +212,8 @@ def _written(file: Path, rows: Sequence[Row]) -> TruthTable:
 
 def _check_place(position_mm: float) -> None:
     if not abs(position_mm) <= FARTHEST_MM:  # also refuses NaN
-        raise InputError(
-            "out of range", where="--position", value=position_mm, allowed=f"+-{FARTHEST_MM:g} mm"
-        )
+        allowed = f"+-{FARTHEST_MM:g} mm"
+        raise InputError("out of range", where="--position", value=position_mm, allowed=allowed)
 
 
 def _stripe_rows(scene: Scene, line: int, taken: Sequence[Taken]) -> Iterator[Row]:

@@ -58,8 +58,7 @@ def label_scene(
     laser; of none where it is off; found anew if None.  exposure_ms: of the picture; the rig's if
     None.  Raises InputError as ``label_picture`` and ``stripe_truth``.
     """
-    if truths is None:
-        truths = lit_truths(scene, position_mm)
+    truths = lit_truths(scene, position_mm) if truths is None else truths
     lines = [(truth, line_sigma_px(scene, truth)) for truth in truths]
     pixels = layers.binned(scene.rig.camera.size_px[::-1])
     return label_picture(pixels, lines, one_step_w_m2_sr(scene, exposure_ms))
@@ -108,8 +107,7 @@ def one_step_w_m2_sr(scene: Scene, exposure_ms: float | None = None) -> float:
     """
     lens, sensor, laser = scene.tank.lens, scene.tank.sensor, scene.tank.laser
     response = sensor.laser_response
-    if exposure_ms is None:
-        exposure_ms = scene.rig.camera.exposure_ms
+    exposure_ms = scene.rig.camera.exposure_ms if exposure_ms is None else exposure_ms
     photons = photons_per_radiance(lens, sensor, exposure_ms, laser.wavelength_nm)
     electrons = photons * max(response.red, response.green, response.blue)
     black_dn = FULL_SCALE_DN * (sensor.black_level_dn / FULL_SCALE_DN) ** (1 / sensor.gamma)
@@ -185,13 +183,11 @@ def check_sampling(scene: Scene, position_mm: float, samples: int, where: object
     middle_px = float(np.nanmedian(widths))
     side = int(np.ceil(np.sqrt(np.log(2 / RIPPLE) / 2) / (np.pi * middle_px)))
     if isqrt(samples) < side:
-        raise InputError(
+        what = (
             f"samples lie farther apart than the sharp line is wide, a standard deviation of "
-            f"{middle_px:.2g} px: its columns would be wrong by more than {RIPPLE:.0%}",
-            where=where,
-            value=samples,
-            allowed=f"{side**2} or more",
+            f"{middle_px:.2g} px: its columns would be wrong by more than {RIPPLE:.0%}"
         )
+        raise InputError(what, where=where, value=samples, allowed=f"{side**2} or more")
 
 
 def half_width_mm(scene: Scene, truth: StripeTruth) -> Floats:

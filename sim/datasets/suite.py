@@ -26,7 +26,7 @@ from lscan.version import __version__
 from sim.datasets.cases import board_case, line_case, line_truths, turned_case
 from sim.scene import Scene, scene_of
 from sim.scene.instrument import Seed
-from sim.studies.run.executor import in_order, keep_identity, locked_folder, open_workers
+from sim.studies.executor import in_order, keep_identity, locked_folder, open_workers
 
 # What a suite is rendered from: a spec file, and the cases that cover its values pair by pair.
 
@@ -441,8 +441,7 @@ def make_cached_suite(
     InputError
         Another process makes it, or the disk refuses.
     """
-    cache = suite_cache()
-    if cache is None:
+    if (cache := suite_cache()) is None:
         allowed = "HOME or XDG_CACHE_HOME in a folder of one's own; or a file for the suite"
         raise InputError("there is no cache of this user's own", value=name, allowed=allowed)
     make_folder(cache)

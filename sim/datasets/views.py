@@ -1,6 +1,6 @@
 """Pictures of a board held into the laser sheet in many poses: what the metric route is fed."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -97,12 +97,8 @@ def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Bytes, Byt
 
     webcam = Webcam(scene)
     layers, exposure_ms = metered(scene, Tank(scene), webcam, 0.0)
-    nothing = np.zeros_like(layers.ambient)
-    lamps = replace(layers, direct=nothing, scattered=nothing)
-    return (
-        webcam.expose(lamps, exposure_ms, generator),
-        webcam.expose(layers, exposure_ms, generator),
-    )
+    dark = webcam.expose(layers.without_laser(), exposure_ms, generator)
+    return dark, webcam.expose(layers, exposure_ms, generator)
 
 
 def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:
@@ -183,8 +179,7 @@ def _lit_and_seen(scene: Scene, board: Board, poses: Poses) -> Mask:
 def _cosine(first: Floats, second: Floats) -> Floats:
     """(K,) of the angles between vectors (K, 3)."""
     lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
-    cosine: Floats = (first * second).sum(axis=1) / lengths
-    return cosine
+    return (first * second).sum(axis=1) / lengths
 
 
 def _across_axis(scene: Scene, poses: Poses) -> Mask:
@@ -195,8 +190,7 @@ def _across_axis(scene: Scene, poses: Poses) -> Mask:
     ends = [project(scene, poses.middle_mm + way * along) for way in (-1, 1)]
     du, dv = np.abs(ends[1] - ends[0]).T
     run, rise = (du, dv) if scene.rig.stripe.axis == "columns" else (dv, du)
-    gentle: Mask = rise <= STEEPEST * run
-    return gentle
+    return rise <= STEEPEST * run
 
 
 def _in_picture(scene: Scene, board: Board, poses: Poses) -> Mask:

@@ -107,8 +107,7 @@ def rig_document(
     section = {key: value for key, value in instrument["camera"].items() if key != "options"}
     if switched_laser:
         instrument["plan"] = {"laser": "on", **instrument.get("plan", {})}
-    sheet = sheet_section(scene)
-    if sheet is not None:
+    if (sheet := sheet_section(scene)) is not None:
         instrument = {"sheet": sheet, **instrument}
     return {
         **instrument,
@@ -162,10 +161,7 @@ class EmulatedHardware:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        options: ServeOptions | None = None,
-        progress: Progress | None = None,
+        self, scene: Scene, options: ServeOptions | None = None, progress: Progress | None = None
     ) -> None:
         """Switch on.
 

@@ -63,11 +63,9 @@ class EmulatedTrack:
         self.travel = travel = travel_for(plan)
         settings = {**MACHINE, 130: travel.travel_mm}
         head_mm = (plan.start_mm + travel.zero_mm, -OFF_SWITCH_MM, -OFF_SWITCH_MM)
-        self.controller: GrblEmulator | MarlinEmulator = (
-            GrblEmulator(settings, head_mm)
-            if dialect == "grbl"
-            else MarlinEmulator(settings, head_mm)
-        )
+        kind: type[GrblEmulator | MarlinEmulator]
+        kind = GrblEmulator if dialect == "grbl" else MarlinEmulator
+        self.controller: GrblEmulator | MarlinEmulator = kind(settings, head_mm)
         self.dialect, self._link = dialect, link
         if link is not None:
             if link.is_symlink() and not link.exists():
@@ -131,11 +129,8 @@ class EmulatedTrack:
                 self._link.symlink_to(self._terminal.port)
             except OSError as error:
                 self._terminal.close()
-                raise InputError(
-                    f"cannot be made a link: {error.strerror}",
-                    where="--link",
-                    value=str(self._link),
-                ) from error
+                what = f"cannot be made a link: {error.strerror}"
+                raise InputError(what, where="--link", value=str(self._link)) from error
 
     def rig_options(self) -> dict[str, Any]:
         """``[track.options]`` of a rig file for this track.

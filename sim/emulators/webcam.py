@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from http.server import BaseHTTPRequestHandler
 from socketserver import ThreadingTCPServer
@@ -76,9 +76,7 @@ class Places:
         lit = self._webcam.still(layers, self._exposure_ms)
         if not self._switched:
             return lit, lit
-        none = np.zeros_like(layers.direct)
-        dark = replace(layers, direct=none, scattered=none)
-        return lit, self._webcam.still(dark, self._exposure_ms)
+        return lit, self._webcam.still(layers.without_laser(), self._exposure_ms)
 
 
 class PassedPicture:
@@ -104,9 +102,8 @@ def _refuse_change(scene: Scene) -> None:
     }
     for key, (is_so, allowed) in refused.items():
         if is_so:
-            raise InputError(
-                f"{key}: cannot be served as hardware", where=scene.source, allowed=allowed
-            )
+            what = f"{key}: cannot be served as hardware"
+            raise InputError(what, where=scene.source, allowed=allowed)
 
 
 # The emulated camera: it goes on taking pictures from where the head stands.
@@ -312,12 +309,9 @@ class MjpegServer(ThreadingTCPServer):
         try:
             super().__init__((HOST, port), _Client)
         except OSError as error:
-            raise InputError(
-                f"cannot listen there: {error.strerror}",
-                where="--http-port",
-                value=port,
-                allowed="a port that no other program holds; 0 for any",
-            ) from error
+            what = f"cannot listen there: {error.strerror}"
+            allowed = "a port that no other program holds; 0 for any"
+            raise InputError(what, where="--http-port", value=port, allowed=allowed) from error
         self._thread = threading.Thread(
             target=self.serve_forever, args=(0.05,), name="http", daemon=True
         )
@@ -346,11 +340,9 @@ class MjpegServer(ThreadingTCPServer):
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer one client in a thread of its own; both are remembered, so that ``close`` can
         break the connection and wait for the thread (socketserver waits for no daemon)."""
+        target, args = self.process_request_thread, (request, client_address)
         thread = threading.Thread(
-            target=self.process_request_thread,
-            args=(request, client_address),
-            name=f"client {client_address[1]}",
-            daemon=True,
+            target=target, args=args, name=f"client {client_address[1]}", daemon=True
         )
         with self._lock:
             self._connections.add(request)
@@ -395,8 +387,7 @@ class _Client(BaseHTTPRequestHandler):
         self._begin({"Content-Type": f"multipart/x-mixed-replace; boundary={BOUNDARY}"})
         sent = camera.count
         while camera.fault != "drop" and not self._hung_up():
-            shot = camera.newest(sent, LOOK_UP_S)
-            if shot is not None:
+            if (shot := camera.newest(sent, LOOK_UP_S)) is not None:
                 self.wfile.write(_part(shot))
                 sent = shot.number
 

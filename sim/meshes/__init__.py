@@ -7,11 +7,6 @@ from sim.meshes.parts import Finish, MeshPart, Paint, reflectance_at
 from sim.meshes.target import scene_parts, target_mesh, target_parts
 
 __all__ = [
-    "Finish",
-    "MeshPart",
-    "Paint",
-    "reflectance_at",
-    "scene_parts",
-    "target_mesh",
+    "Finish", "MeshPart", "Paint", "reflectance_at", "scene_parts", "target_mesh",
     "target_parts",
-]
+]  # fmt: skip

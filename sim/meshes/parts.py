@@ -143,12 +143,8 @@ def reflectance_at(
         return albedo
     nm, reflectance = np.array(albedo).T
     if not nm[0] <= wavelength_nm <= nm[-1]:
-        raise InputError(
-            "albedo is not given at the laser's wavelength in nm",
-            where=where,
-            value=wavelength_nm,
-            allowed=f"{nm[0]:g} to {nm[-1]:g}",
-        )
+        what = "albedo is not given at the laser's wavelength in nm"
+        raise InputError(what, where=where, value=wavelength_nm, allowed=f"{nm[0]:g} to {nm[-1]:g}")
     return float(np.interp(wavelength_nm, nm, reflectance))
 
 

@@ -47,8 +47,7 @@ def scene_parts(scene: Scene) -> list[MeshPart]:
     """
     pose = target_pose(scene)
     parts = [move_part(part, pose) for part in target_parts(scene)]
-    floor = scene.tank.floor
-    if floor is not None:
+    if (floor := scene.tank.floor) is not None:
         square = plain_mesh(floor_corners_mm(scene), np.array([[0, 1, 2], [0, 2, 3]]))
         parts.append(MeshPart("floor", square, floor.albedo))
     return parts
@@ -136,11 +135,8 @@ def _with_texture(part: MeshPart, scene: Scene, texture: Texture) -> MeshPart:
         return part
     target = scene.tank.target
     if part.paint is not None:
-        raise InputError(
-            "target.texture does not go with a mesh that has vertex colours",
-            where=scene.source,
-            value=target.file,
-        )
+        what = "target.texture does not go with a mesh that has vertex colours"
+        raise InputError(what, where=scene.source, value=target.file)
     plane = (0, 2) if target.shape == "board" else (0, 1)
     with _naming_file(scene, "target.texture.file"):
         paint = picture_paint(texture, part.mesh.vertices[:, plane])

@@ -122,10 +122,7 @@ class NodeLattice:
         scale = steps / np.maximum(span, 1e-12)
         self._axes = [
             _LatticeAxis(
-                floats(duals[:, k]),
-                floats(low[:, k]),
-                floats(scale[:, k]),
-                indices(steps[:, k]),
+                floats(duals[:, k]), floats(low[:, k]), floats(scale[:, k]), indices(steps[:, k])
             )
             for k in (0, 1)
         ]

@@ -34,7 +34,8 @@ from typing import TypeVar
 from pydantic import TypeAdapter
 
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import MOST_TEXT_BYTES, cache_folder, read_cached, write_atomically
+from lscan.files.cache import cache_folder, read_cached
+from lscan.files.disk import MOST_TEXT_BYTES, write_atomically
 
 # Numbers below 1e-38 taken for 0, as Dr.Jit's own threads do, in the thread that calls too.
 #
@@ -94,8 +95,7 @@ def install_first(packages: Sequence[str]) -> None:
         apt-get, the right to use it, or such a package is missing.
     """
     admin = _as_root()
-    package = _offered_package(packages)
-    if package is None:
+    if (package := _offered_package(packages)) is None:
         _apt_get(admin, "update")
         package = _offered_package(packages)
     if package is None:
@@ -341,8 +341,7 @@ def newest_first(paths: Iterable[Path]) -> list[Library]:
     libraries = set()
     for path in paths:
         resolved = path.resolve()
-        match = _NAME.fullmatch(resolved.name)
-        if match:
+        if match := _NAME.fullmatch(resolved.name):
             major = match[1] or match[2]
             libraries.add(Library(resolved, int(major) if major else None))
     return sorted(libraries, key=lambda found: (-(found.major or 0), str(found.path)))
@@ -351,8 +350,7 @@ def newest_first(paths: Iterable[Path]) -> list[Library]:
 def _installed_libraries() -> list[Path]:
     """Every file named like a libLLVM that the dynamic linker or the usual folders hold."""
     paths = []
-    ldconfig = shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin")
-    if ldconfig:
+    if ldconfig := shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"):
         listed = subprocess.run([ldconfig, "-p"], capture_output=True, text=True).stdout
         paths += [Path(name) for name in re.findall(r"=> (\S*libLLVM\S*)", listed)]
     for root in ("/usr", "/usr/local", "/", sys.prefix):

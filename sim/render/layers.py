@@ -42,11 +42,8 @@ def fineness_of(shape: tuple[int, ...], picture: tuple[int, int]) -> int:
     fineness = shape[0] // picture[0]
     if fineness < 1 or shape != (fineness * picture[0], fineness * picture[1]):
         height, width = picture
-        raise InputError(
-            "layers and picture differ in size",
-            value=shape,
-            allowed=f"({height}, {width}) or a whole multiple of it",
-        )
+        allowed = f"({height}, {width}) or a whole multiple of it"
+        raise InputError("layers and picture differ in size", value=shape, allowed=allowed)
     return fineness
 
 
@@ -116,6 +113,11 @@ class Layers:
     def laser(self) -> Radiance:
         """Direct and scattered light together."""
         return self.direct + self.scattered
+
+    def without_laser(self) -> "Layers":
+        """The ambient light alone."""
+        none = np.zeros_like(self.ambient)
+        return Layers(none, none, self.ambient)
 
     def binned(self, shape: tuple[int, int]) -> "Layers":
         """The layers of whole pixels: the means over the parts of each.

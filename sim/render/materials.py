@@ -59,12 +59,10 @@ def surface(part: MeshPart, water_index: float) -> dict[str, Any]:
         bsdf = {"type": "diffuse", "reflectance": reflectance}
     elif finish.kind == "wet":
         if finish.coat_index <= water_index:
-            raise InputError(
-                "a coat must be denser than the water",
-                where="target.coat_index",
-                value=finish.coat_index,
-                allowed=f"above {water_index:.4f}",
-            )
+            what = "a coat must be denser than the water"
+            where = "target.coat_index"
+            allowed = f"above {water_index:.4f}"
+            raise InputError(what, where=where, value=finish.coat_index, allowed=allowed)
         bsdf = {
             "type": "roughplastic",
             "int_ior": finish.coat_index,

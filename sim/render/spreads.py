@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.disk import long_work
+from lscan.files.cache import long_work
 from lscan.records import Floats, Progress
 from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.water import PhaseTable
@@ -279,7 +279,7 @@ def spread_of(water: Optics, photons: int = PHOTONS, seed: int = SEED) -> Spread
 
     Tables of the waters of ``scenes`` are shipped (``sim/water/spreads``, written by
     ``make tables``) and serve whoever asks for no more photons.  A command line shows how far the
-    making of others is (``lscan.files.disk``).
+    making of others is (``lscan.files.cache``).
 
     Parameters
     ----------

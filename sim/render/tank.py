@@ -168,8 +168,7 @@ class Tank:
         head, sensor = self.scene.tank.head, self.scene.tank.sensor
         pose = head_pose(head, position_mm)
         velocity = head.speed_mm_s * TRACK
-        if exposure_ms is None:
-            exposure_ms = self.scene.rig.camera.exposure_ms
+        exposure_ms = self.scene.rig.camera.exposure_ms if exposure_ms is None else exposure_ms
         for camera in (self._camera, self._random_camera):
             camera.place(pose @ camera_pose(head))
             if head.speed_mm_s != 0:
@@ -228,11 +227,8 @@ class Tank:
             for name, layer in higher.items():
                 first[name] = first[name] + layer
         laser_scale, ambient_scale = self._scales
-        return Layers(
-            direct=first["direct"] * laser_scale,
-            scattered=first["scattered"] * laser_scale,
-            ambient=first["ambient"] * ambient_scale,
-        )
+        direct, scattered = first["direct"] * laser_scale, first["scattered"] * laser_scale
+        return Layers(direct=direct, scattered=scattered, ambient=first["ambient"] * ambient_scale)
 
     def pixel_rays(self, position_mm: float) -> tuple[mi.Ray3f, mi.Float]:
         """The rays in the water through the middles of the pixels, row by row; their weights.
@@ -279,12 +275,10 @@ class Tank:
         """
         self._look(anew=False, gathered=True)
         if self._gathered is None or self._sparse is None:
-            raise InputError(
-                "its light of higher orders is not gathered",
-                where=self.scene.source,
-                value=self.scene.tank.render.light,
-                allowed='render.light = "gathered" and what that can do',
-            )
+            what = "its light of higher orders is not gathered"
+            where = self.scene.source
+            allowed = 'render.light = "gathered" and what that can do'
+            raise InputError(what, where=where, value=self.scene.tank.render.light, allowed=allowed)
         samples = self.scene.tank.render.samples if samples is None else samples
         self.place(position_mm)
         head = head_pose(self.scene.tank.head, position_mm)
@@ -349,19 +343,14 @@ class Tank:
             head, places_mm = self.scene.tank.head, self.scene.rig.plan.positions_mm()
             ends = places_mm[0], places_mm[-1]
             self._gathered = GatheredLight(
-                self.mitsuba_scene,
-                self._parts,
-                self.integrator,
-                self._sparse.rays,
-                head,
+                self.mitsuba_scene, self._parts, self.integrator, self._sparse.rays, head,
                 self.water,
                 [head_pose(head, place_mm) for place_mm in np.linspace(*ends, PLACES)],
-            )
+            )  # fmt: skip
 
     def _few_rays(self) -> SparseLaserLight | None:
         """What renders the laser's light of the first order from few rays, where that can be."""
-        reason = reason_for_samples(self.scene)
-        if reason:
+        if reason := reason_for_samples(self.scene):
             _log.warning("note: %s: every pixel is sampled (%s)", self.scene.source, reason)
             return None
         return SparseLaserLight(self.scene, self.mitsuba_scene, self._camera, self.integrator)

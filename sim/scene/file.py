@@ -14,19 +14,8 @@ from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats
+from sim.scene import instrument
 from sim.scene.errors import STEEPEST, BoardErrors, TrackErrors, TrueBoard
-from sim.scene.instrument import (
-    Head,
-    Laser,
-    Lens,
-    PlanePort,
-    Port,
-    Seed,
-    Sensor,
-    TrueShaft,
-    is_folded,
-    response_at,
-)
 from sim.scene.matter import AmbientLight, Floor, Target, Water
 from sim.scene.poses import Pose, head_pose, rotation, track_pose
 from sim.scene.varying import Change, check_changes, with_offsets
@@ -53,7 +42,7 @@ class Render(Strict):
     light: Literal["gathered", "sampled"] = "gathered"
     scatter_samples: Annotated[int, Field(ge=0, le=65536)] = 1
     fineness: Annotated[int, Field(ge=1, le=3)] = 1
-    seed: Seed = 1
+    seed: instrument.Seed = 1
 
     @model_validator(mode="after")
     def _square(self) -> Self:
@@ -95,15 +84,15 @@ def _allowed(fineness: int) -> str:
 class TankSections(Strict):
     """The sections of a scene file that a rig file of real hardware does not have."""
 
-    lens: Lens
-    head: Head
-    port: Port = PlanePort()
-    laser: Laser
+    lens: instrument.Lens
+    head: instrument.Head
+    port: instrument.Port = instrument.PlanePort()
+    laser: instrument.Laser
     water: Water = Water()
     light: AmbientLight = AmbientLight()
     target: Target
     floor: Floor | None = None
-    sensor: Sensor = Sensor()
+    sensor: instrument.Sensor = instrument.Sensor()
     render: Render = Render()
     board_errors: BoardErrors = BoardErrors()
     track_errors: TrackErrors = TrackErrors()
@@ -137,12 +126,8 @@ class Scene:
     def board(self) -> Board:
         """The board that is the target; InputError where the target is another."""
         if self.tank.target.shape != "board" or self.rig.board is None:
-            raise InputError(
-                "target is not the board",
-                where=self.source,
-                value=self.tank.target.shape,
-                allowed='shape = "board"',
-            )
+            what, allowed = "target is not the board", 'shape = "board"'
+            raise InputError(what, where=self.source, value=self.tank.target.shape, allowed=allowed)
         return self.rig.board
 
     def true_board(self) -> TrueBoard:
@@ -186,8 +171,7 @@ def load_scene(path: Path | str) -> Scene:
     650.0
     """
     document = inline_board(read_document(path), source=str(path))
-    strange = sorted(set(document) - set(Rig.model_fields) - SECTIONS)
-    if strange:
+    if strange := sorted(set(document) - set(Rig.model_fields) - SECTIONS):
         allowed = ", ".join(sorted({*Rig.model_fields, *SECTIONS}))
         raise InputError(f"{strange[0]}: unknown section", where=path, allowed=allowed)
     return scene_of(parse_rig(document, source=str(path), trusted=True))
@@ -233,35 +217,28 @@ def scene_of(rig_file: RigFile) -> Scene:
     return scene
 
 
-def _on_its_shaft(head: Head, rig_file: RigFile) -> Head:
+def _on_its_shaft(head: instrument.Head, rig_file: RigFile) -> instrument.Head:
     """The head with the shaft it truly turns about, where the rig has one: else the rig's own."""
     stated, source = rig_file.rig.shaft, rig_file.source
     if stated is None:
         if head.shaft is not None:
-            raise InputError(
-                "head.shaft: needs the section [shaft]",
-                where=source,
-                allowed="head.shaft left out, or the section [shaft] beside it",
-            )
+            allowed = "head.shaft left out, or the section [shaft] beside it"
+            raise InputError("head.shaft: needs the section [shaft]", where=source, allowed=allowed)
         return head
     if head.speed_mm_s != 0:
-        raise InputError(
-            "head.speed_mm_s: a head on a shaft stands still while a picture is taken",
-            where=source,
-            value=head.speed_mm_s,
-            allowed="0",
-        )
-    true = head.shaft or TrueShaft(point_mm=stated.point_mm, direction=stated.direction)
+        what = "head.speed_mm_s: a head on a shaft stands still while a picture is taken"
+        raise InputError(what, where=source, value=head.speed_mm_s, allowed="0")
+    true = head.shaft or instrument.TrueShaft(point_mm=stated.point_mm, direction=stated.direction)
     if true.arc_radius_mm is None:
         true = true.model_copy(update={"arc_radius_mm": stated.arc_radius_mm})
     return head.model_copy(update={"shaft": true})
 
 
-def _sensor_at_wavelength(tank: TankSections) -> Sensor:
+def _sensor_at_wavelength(tank: TankSections) -> instrument.Sensor:
     """The sensor, with a webcam's response to the laser's wavelength where the file states none."""
     if "laser_response" in tank.sensor.model_fields_set:
         return tank.sensor
-    response = response_at(tank.laser.wavelength_nm)
+    response = instrument.response_at(tank.laser.wavelength_nm)
     return tank.sensor.model_copy(update={"laser_response": response})
 
 
@@ -269,29 +246,23 @@ def _check_target(scene: Scene) -> None:
     shape, rig = scene.tank.target.shape, scene.rig
     needed: dict[str, Any] = {"board": rig.board, "workpiece": rig.workpiece}
     if shape in needed and needed[shape] is None:
-        raise InputError(
-            f"target.shape: needs the section [{shape}]",
-            where=scene.source,
-            value=shape,
-            allowed=f"the section [{shape}] beside it, or another shape",
-        )
+        what = f"target.shape: needs the section [{shape}]"
+        allowed = f"the section [{shape}] beside it, or another shape"
+        raise InputError(what, where=scene.source, value=shape, allowed=allowed)
     if rig.board is not None:
         left, right, bottom, top = rig.board.outline_mm()
         for axis, side_mm in (("x", right - left), ("z", top - bottom)):
             bend_mm = getattr(scene.tank.board_errors, f"bend_{axis}_mm")
             if STEEPEST * abs(bend_mm) > side_mm:
-                raise InputError(
-                    f"board_errors.bend_{axis}_mm: too much for this board",
-                    where=scene.source,
-                    value=bend_mm,
-                    allowed=f"at most {side_mm / STEEPEST:g} either way",
-                )
+                what = f"board_errors.bend_{axis}_mm: too much for this board"
+                allowed = f"at most {side_mm / STEEPEST:g} either way"
+                raise InputError(what, where=scene.source, value=bend_mm, allowed=allowed)
 
 
 def check_lens(scene: Scene) -> None:
     """Refuse a distortion that folds within the picture: what is there would be seen twice."""
     lens, camera = scene.tank.lens, scene.rig.camera
-    if is_folded(lens, camera.width_px, camera.height_px):
+    if instrument.is_folded(lens, camera.width_px, camera.height_px):
         raise InputError(
             "lens: the distortion folds the picture before its corners",
             where=scene.source,
@@ -399,11 +370,7 @@ def at_moment(scene: Scene, frame: int, position_mm: float) -> Moment:
     turn = np.add(head.turn_deg, errors.turn_deg(position_mm))
     shift = np.add(head.shift_mm, errors.shift_mm(position_mm))
     here = {"turn_deg": tuple(turn.tolist()), "shift_mm": tuple(shift.tolist())}
-    update = {
-        "head": head.model_copy(update=here),
-        "track_errors": TrackErrors(),
-        "change": (),
-    }
+    update = {"head": head.model_copy(update=here), "track_errors": TrackErrors(), "change": ()}
     changed = replace(changed, tank=changed.tank.model_copy(update=update))
     return Moment(changed, errors.true_mm(scene.rig.plan, frame, position_mm))
 

@@ -223,8 +223,7 @@ class Laser(Strict):
         """
         rayleigh_mm = pi * self.waist_mm**2 * water_index / (self.wavelength_nm * 1e-6 * self.m2)
         off_waist = (distance_mm - self.waist_distance_mm) / rayleigh_mm
-        thickness_mm: Floats = self.waist_mm * np.hypot(1.0, off_waist)
-        return thickness_mm
+        return self.waist_mm * np.hypot(1.0, off_waist)
 
     def wavelength_at(self, time_s: float) -> float:
         """Wavelength, nm.

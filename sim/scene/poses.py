@@ -32,8 +32,7 @@ def rotation(axes: str, angles_deg: float | Sequence[float] | Floats) -> Floats:
     [0.0, 1.0, 0.0]
     """
     if isinstance(angles_deg, np.ndarray) and angles_deg.ndim == 2:
-        matrices: Floats = Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
-        return matrices
+        return Rotation.from_euler(axes, angles_deg, degrees=True).as_matrix()
     angles = (angles_deg,) if isinstance(angles_deg, float | int) else angles_deg
     turns = [_turn(axis, float(angle)) for axis, angle in zip(axes, angles, strict=True)]
     return reduce(np.matmul, turns)

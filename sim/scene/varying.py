@@ -47,12 +47,9 @@ def number_at(scene: "Scene", key: str) -> float:
     elif component:
         value = None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(
-            "is the key of no number that can vary",
-            where=scene.source,
-            value=key,
-            allowed=f"a number of [{section}]: {', '.join(_numbers(model))}",
-        )
+        what = "is the key of no number that can vary"
+        allowed = f"a number of [{section}]: {', '.join(_numbers(model))}"
+        raise InputError(what, where=scene.source, value=key, allowed=allowed)
     return float(value)
 
 
@@ -93,12 +90,8 @@ def _section(scene: "Scene", name: str) -> Strict:
     section = scene.rig.camera if name == CAMERA else getattr(scene.tank, name, None)
     if not isinstance(section, Strict):
         named = [key for key in type(scene.tank).model_fields if key != "change"]
-        raise InputError(
-            "no such section of the scene",
-            where=scene.source,
-            value=name,
-            allowed=", ".join((CAMERA, *named)),
-        )
+        what = "no such section of the scene"
+        raise InputError(what, where=scene.source, value=name, allowed=", ".join((CAMERA, *named)))
     return section
 
 
@@ -258,22 +251,15 @@ def check_changes(scene: "Scene") -> None:
         Names the change, and what is allowed.
     """
     streams = [(change.key, change.seed) for change in scene.tank.change if change.sine is None]
-    twice = [key for k, (key, seed) in enumerate(streams) if (key, seed) in streams[:k]]
-    if twice:
-        raise InputError(
-            f"change: {twice[0]} is drawn twice from one seed",
-            where=scene.source,
-            allowed="another seed for each",
-        )
+    if twice := [key for k, (key, seed) in enumerate(streams) if (key, seed) in streams[:k]]:
+        what = f"change: {twice[0]} is drawn twice from one seed"
+        raise InputError(what, where=scene.source, allowed="another seed for each")
     for change in scene.tank.change:
         for offset in change.reach:
             with_offsets(scene, [(change, offset)], f"{scene.source}, [[change]] of {change.key}")
         if change.key == "light.ambient_w_m2_sr" and scene.tank.light.ambient_w_m2_sr == 0:
-            raise InputError(
-                f"change: {change.key} is 0, no light is there to change",
-                where=scene.source,
-                allowed="above 0",
-            )
+            what = f"change: {change.key} is 0, no light is there to change"
+            raise InputError(what, where=scene.source, allowed="above 0")
 
 
 def with_offsets(scene: "Scene", offsets: Iterable[tuple[Change, float]], where: str) -> "Scene":

@@ -161,8 +161,7 @@ class Webcam:
             The layers are no whole multiple of the picture.
         """
         nm = self.wavelength_nm if wavelength_nm is None else wavelength_nm
-        contrast = self._contrast(nm)
-        if contrast:
+        if contrast := self._contrast(nm):
             # A new pattern for each picture: the head moves between them.
             laser = add_speckle(self._photons(layers.direct, exposure_ms, nm), contrast, generator)
             laser += self._photons(layers.scattered, exposure_ms, nm)
@@ -223,10 +222,7 @@ class Webcam:
         return StillView(sensor, pattern, self._filter, steady, direct, first, contrast)
 
     def mean_electrons(
-        self,
-        layers: Layers,
-        exposure_ms: float,
-        wavelength_nm: float | None = None,
+        self, layers: Layers, exposure_ms: float, wavelength_nm: float | None = None
     ) -> Electrons:
         """Expected electrons, (H, W, 3) RGB, before colour filter, noise and full well.
 

@@ -321,7 +321,6 @@ def budgets_of(
     indices: Mapping[str, Indices],
     *,
     seed: int,
-    stated: Mapping[str, float] | None = None,
     convergence: Mapping[str, tuple[IndexConvergence, ...]] | None = None,
 ) -> tuple[OutputBudget, ...]:
     """The budget of each output; that after recalibration lies in that before it.
@@ -331,17 +330,15 @@ def budgets_of(
     runs : StudyRuns, those that failed are left out
     indices : mapping, of an output's name; some may be missing
     seed : int, of the bootstrap
-    stated : mapping, of an output's name, the rms of what the instrument states, in its unit
     convergence : mapping, of an output's name, its largest indices against the number of runs
     """
-    stated, convergence = stated or {}, convergence or {}
+    convergence = convergence or {}
     found = {
         output.name: _budget(
             runs,
             output.name,
             indices.get(output.name),
             seed=seed,
-            stated=stated.get(output.name),
             convergence=convergence.get(output.name, ()),
         )
         for output in reversed(runs.outputs)
@@ -359,7 +356,6 @@ def _budget(
     indices: Indices | None,
     *,
     seed: int,
-    stated: float | None,
     convergence: tuple[IndexConvergence, ...],
 ) -> OutputBudget:
     output = next(output for output in runs.outputs if output.name == name)
@@ -378,7 +374,6 @@ def _budget(
         standard_uncertainty=deviation,
         range_95=(float(low), float(high)) if enough else None,
         rms=_rms(mixed, seed),
-        stated_rms=stated,
         rest=indices.rest if indices and np.isfinite(indices.rest.value) else None,
         convergence=convergence,
     )
@@ -406,8 +401,7 @@ def errors_in(runs: StudyRuns, name: str, block: str) -> Floats:
     name : str, of the output
     block : str
     """
-    errors: Floats = runs.values[_chosen(runs, block), columns(runs.outputs)[name]]
-    return errors
+    return runs.values[_chosen(runs, block), columns(runs.outputs)[name]]
 
 
 def _chosen(runs: StudyRuns, block: str) -> Mask:

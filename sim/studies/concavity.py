@@ -18,7 +18,8 @@ import trimesh
 from lscan.config.documents import Document, merge
 from lscan.config.rig import SheetSection, StripeSection, load_rig, parse_rig
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, write_atomically, write_json
+from lscan.files.disk import make_folder, write_atomically
+from lscan.files.jsonfiles import write_json
 from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface
 from lscan.stripe.corrections import correct_blur
 from lscan.surface.thickness import correct_thickness
@@ -313,8 +314,7 @@ def run_concavity(
         Where there is no such target.
     """
     every = cases(scenes, output / "meshes")
-    chosen = [case for case in every if only in case.name]
-    if not chosen:
+    if not (chosen := [case for case in every if only in case.name]):
         allowed = "; ".join(case.name for case in every)
         raise InputError("no such target", where="--only", value=only, allowed=allowed)
     errors = []

@@ -71,8 +71,7 @@ def set_sums(samples: Floats) -> Floats:
     ----------
     samples : (N, q) array, in the order of a design's block; zero where left out
     """
-    sums: Floats = samples.reshape(-1, SETS, samples.shape[-1]).sum(axis=0)
-    return sums
+    return samples.reshape(-1, SETS, samples.shape[-1]).sum(axis=0)
 
 
 def pseudo_values(sums: Floats, figure: Callable[[Floats], Floats]) -> Floats:
@@ -170,8 +169,7 @@ class TermMeans:
         return 1 + self.terms if self.sums.shape[1] > 1 + self.terms else 0
 
     def _cheap(self, sums: Floats) -> Floats:
-        means: Floats = sums[..., 1 : 1 + self.terms] / sums[..., :1]
-        return means
+        return sums[..., 1 : 1 + self.terms] / sums[..., :1]
 
     def _means(self, sums: Floats) -> Floats:
         if not self._counted:

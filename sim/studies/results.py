@@ -10,13 +10,14 @@ from pydantic import TypeAdapter, ValidationError
 
 from lscan.errors import InputError
 from lscan.files.containers import NetcdfArray, netcdf_bytes
-from lscan.files.disk import make_folder, read_text, write_atomically, write_json
+from lscan.files.disk import make_folder, read_text, write_atomically
+from lscan.files.jsonfiles import write_json
 from lscan.version import __version__
 from sim.studies.budget import CauseFacts, StudyResults, StudyRuns
 from sim.studies.page import render_page
 from sim.studies.problem import AGAIN, ALL, Design, Output, columns
 from sim.studies.rig.states import correlated, share_of
-from sim.studies.run.store import Results
+from sim.studies.store import Results
 from sim.studies.studyfile import Cause, Study
 
 RESULTS, RUNS, PAGE = "results.json", "runs.nc", "report.html"

@@ -30,14 +30,14 @@ from sim.studies.problem import BASE, Design, Output, alone, columns, make_desig
 from sim.studies.results import joined, runs_of, write_results
 from sim.studies.rig.prepared import Prepared
 from sim.studies.rig.states import check_keys
-from sim.studies.run.running import (
+from sim.studies.running import (
     RigSource,
     StudyOptions,
     StudyRunning,
     prepared_of,
     require_at_most,
 )
-from sim.studies.run.store import (
+from sim.studies.store import (
     Results,
     ResultStore,
     distinct_rows,
@@ -113,9 +113,8 @@ def run_study(
     if tier == "both":  # refused before anything is run, not after hours
         rendered_design(smallest, {}, study.file.precision.rendered)
     if (output / RUNS).exists() and not options.resume:
-        raise InputError(
-            "holds runs of a study", where=output / RUNS, allowed="--resume, or another folder"
-        )
+        what = "holds runs of a study"
+        raise InputError(what, where=output / RUNS, allowed="--resume, or another folder")
     documents = study.document, study.calibrate.document, study.scan.document
     source = RigSource("rendered" if tier == "rendered" else "geometric", *documents, b"", "")
     require_same_document(output / RUNS, by_content(source.stated))
@@ -194,8 +193,7 @@ def _design(study: Study, base: int) -> Design:
 def _tolerances(running: StudyRunning, found: _TierRuns) -> Tolerances | None:
     """Those that the study's file asks for, of geometric runs; each spread has its own folder."""
     file = running.study.file
-    bound = file.tolerances
-    if bound is None:
+    if (bound := file.tolerances) is None:
         return None
     groups = found.convergence[-1][1][bound.output].groups
     source = running.source("geometric")
@@ -234,12 +232,8 @@ def _results(
         indices = sobol_indices(*both, found.outputs, values)
         tiers = tier_rows(*both, values, found.outputs)
         every = joined(runs, runs_of(study, *rendered, found.outputs))
-    budgets = budgets_of(
-        runs,
-        indices,
-        seed=study.file.seed,
-        convergence={name: _convergence(found.convergence, name) for name in indices},
-    )
+    convergence = {name: _convergence(found.convergence, name) for name in indices}
+    budgets = budgets_of(runs, indices, seed=study.file.seed, convergence=convergence)
     if rendered is not None:
         budgets = tuple(in_rendered_physics(budget, indices, tiers) for budget in budgets)
     # The files, and the places, of an error map are those of the rig as it ought to be.

@@ -382,11 +382,9 @@ class Study:
         try:
             root = np.asarray(np.linalg.cholesky(found), dtype=float)
         except np.linalg.LinAlgError as error:
-            raise InputError(
-                "correlation: no such numbers exist",
-                where=self.source,
-                allowed="correlations that do not contradict each other",
-            ) from error
+            what = "correlation: no such numbers exist"
+            allowed = "correlations that do not contradict each other"
+            raise InputError(what, where=self.source, allowed=allowed) from error
         return root if self.file.correlation else None
 
 

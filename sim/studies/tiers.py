@@ -37,7 +37,7 @@ from sim.studies.problem import (
     mixed,
 )
 from sim.studies.rig.states import SEEDED
-from sim.studies.run.store import OK, Results
+from sim.studies.store import OK, Results
 from sim.studies.studyfile import Bound, Cause, StudyFile
 
 LARGE = 0.02  # share of the mean square from which on a cause is compared by itself
@@ -64,12 +64,8 @@ def rendered_design(design: Design, squares: Mapping[str, float], most: int) -> 
     a_sample = len(design.groups) + 2
     samples = (most - 1) // (a_sample * SETS) * SETS
     if samples == 0:
-        raise InputError(
-            "too few rendered runs",
-            where="precision.rendered",
-            value=most,
-            allowed=f"{a_sample * SETS + 1} or more",
-        )
+        what, allowed = "too few rendered runs", f"{a_sample * SETS + 1} or more"
+        raise InputError(what, where="precision.rendered", value=most, allowed=allowed)
     samples = min(samples, len(design.blocks[ALL]))
     left = most - 1 - samples * a_sample
     large = large_causes(squares)[: left // FEWEST]

@@ -28,14 +28,6 @@ from sim.truth.stripe import StripeTruth, stripe_truth, stripe_truths
 from sim.truth.visibility import slice_visibility
 
 __all__ = [
-    "BoardTruth",
-    "LineBrightness",
-    "StripeTruth",
-    "board_truth",
-    "line_brightness",
-    "project",
-    "sheet_of",
-    "slice_visibility",
-    "stripe_truth",
-    "stripe_truths",
-]
+    "BoardTruth", "LineBrightness", "StripeTruth", "board_truth", "line_brightness", "project",
+    "sheet_of", "slice_visibility", "stripe_truth", "stripe_truths",
+]  # fmt: skip

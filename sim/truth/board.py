@@ -8,16 +8,7 @@ import numpy as np
 import shapely
 
 from lscan.config.board import Ring
-from lscan.records import (
-    BoardReading,
-    Floats,
-    Ints,
-    Mark,
-    Marks,
-    RingPoints,
-    RulerReading,
-    Status,
-)
+from lscan.records import BoardReading, Floats, Ints, Mark, Marks, RingPoints, RulerReading, Status
 from sim.scene import Scene, into_head, target_pose
 from sim.truth.camera import project
 from sim.truth.section import surfaces_of

@@ -534,8 +534,7 @@ def _ambient_share(penumbra: Penumbra | None, x_mm: Floats) -> Floats:
         return np.ones_like(x_mm)
     outward = -1 if penumbra.side == "right" else 1
     lit = ndtr(outward * (x_mm - penumbra.x_mm) / penumbra.width_mm)
-    share: Floats = penumbra.left + (1 - penumbra.left) * lit
-    return share
+    return penumbra.left + (1 - penumbra.left) * lit
 
 
 def _in_grey_values(

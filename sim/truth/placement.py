@@ -156,8 +156,7 @@ def _fault(scene: Scene, sheet: TrueSheet, section: TargetSection, place: float)
     lit = in_fan(scene.tank.laser, xz)
     if not lit.any():
         return "it lies outside the laser's fan"
-    floor = scene.tank.floor
-    if floor is not None:
+    if (floor := scene.tank.floor) is not None:
         lit &= into_world(scene.tank.head, points, place)[:, 2] > floor.z_mm
     if not lit.any():
         return "it lies beneath the floor"

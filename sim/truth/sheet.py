@@ -90,11 +90,9 @@ def bow_of(laser: Laser, water_index: float) -> Bow | None:
     bow = Bow(apex, float(np.radians(laser.aim_deg)), leaning, water_index)
     widest_deg = float(np.degrees(np.arctan(bow.widest)))
     if laser.fan_half_angle_deg > widest_deg:
-        raise InputError(
-            "laser.fan_half_angle_deg: no such ray leaves the tilted window",
-            value=laser.fan_half_angle_deg,
-            allowed=f"up to {widest_deg:.1f} degrees in the water",
-        )
+        what = "laser.fan_half_angle_deg: no such ray leaves the tilted window"
+        allowed = f"up to {widest_deg:.1f} degrees in the water"
+        raise InputError(what, value=laser.fan_half_angle_deg, allowed=allowed)
     return bow
 
 

@@ -132,12 +132,8 @@ def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
     scene = scene.with_tank(target={"sand": None})
     tank, workpiece = scene.tank, scene.rig.workpiece
     if tank.target.shape != "workpiece" or not isinstance(workpiece, Sandwave):
-        raise InputError(
-            "target is no sandwave",
-            where=scene.source,
-            value=tank.target.shape,
-            allowed='shape = "workpiece" and kind = "sandwave"',
-        )
+        what, allowed = "target is no sandwave", 'shape = "workpiece" and kind = "sandwave"'
+        raise InputError(what, where=scene.source, value=tank.target.shape, allowed=allowed)
     over = np.all((points >= 0) & (points <= workpiece.side_mm), axis=1)
     height = np.where(over, workpiece.height_mm(points[:, 0], points[:, 1]), 0.0)
     world = target_pose(scene).apply(np.column_stack([points, height]))

@@ -14,12 +14,6 @@ from sim.water.optics import Optics, glass_index, water_index, water_optics
 from sim.water.phase import FournierForand, HenyeyGreensteinMixture, PetzoldTable
 
 __all__ = [
-    "FournierForand",
-    "HenyeyGreensteinMixture",
-    "Optics",
-    "PetzoldTable",
-    "glass_index",
-    "refractive_index",
-    "water_index",
-    "water_optics",
-]
+    "FournierForand", "HenyeyGreensteinMixture", "Optics", "PetzoldTable", "glass_index",
+    "refractive_index", "water_index", "water_optics",
+]  # fmt: skip

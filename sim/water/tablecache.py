@@ -13,7 +13,8 @@ from time import sleep
 import numpy as np
 
 from lscan.errors import InputError
-from lscan.files.disk import cache_folder, long_work, read_cached, write_atomically
+from lscan.files.cache import cache_folder, long_work, read_cached
+from lscan.files.disk import write_atomically
 from lscan.records import Floats
 
 # Of a kept file: 64 for each triangle of a mesh in the tank, whose files hold up to 1.4e7 of them.
@@ -38,13 +39,11 @@ def kept_arrays(name: str, make: Callable[[], dict[str, Floats]]) -> dict[str, F
     name : str, a file's name that says all that the arrays depend on, by a hash
     make : function without arguments that makes the arrays
     """
-    cache = cache_folder()
-    if cache is None:
+    if (cache := cache_folder()) is None:
         _log.warning("a table will have to be made again: there is no cache of this user's own")
         return make()
     file = cache / name
-    arrays = _read_table(file)
-    if arrays is None:
+    if (arrays := _read_table(file)) is None:
         with _alone(file):
             arrays = _read_table(file) or _make_and_keep(file, make)
     return arrays

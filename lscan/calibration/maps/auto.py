@@ -102,9 +102,8 @@ class AutoSolver:
             For any variant.
         """
         if variant:
-            raise InputError(
-                "no such choice of maps", where="plane map", value=f"auto-{variant}", allowed="auto"
-            )
+            what = "no such choice of maps"
+            raise InputError(what, where="plane map", value=f"auto-{variant}", allowed="auto")
 
     def solve(
         self,

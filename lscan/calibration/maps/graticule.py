@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from lscan.calibration.fields import STRICT, NotNegative, Number
 from lscan.calibration.maps.graticulelines import (
     DEGREE,
     Curve,
@@ -23,20 +24,8 @@ from lscan.calibration.maps.graticulelines import (
     fit_lines,
     fit_polynomials,
 )
-from lscan.calibration.planemap import (
-    MARGIN,
-    STRICT,
-    Estimate,
-    MapSolver,
-    NotNegative,
-    Number,
-    SolvedMap,
-    covered_region,
-    joined_marks,
-    spacing_px,
-    with_lack_of_fit,
-    with_marks,
-)
+from lscan.calibration.marks import MARGIN, covered_region, joined_marks, spacing_px, with_marks
+from lscan.calibration.planemap import Estimate, MapSolver, SolvedMap, with_lack_of_fit
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats, Ints, Mask, RulerReading, select

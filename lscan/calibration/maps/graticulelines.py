@@ -17,15 +17,8 @@ from typing import Literal
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 
-from lscan.calibration.planemap import (
-    STRICT,
-    Count,
-    Matrix,
-    Number,
-    Vector,
-    check_covariance,
-    square_root,
-)
+from lscan.calibration.fields import STRICT, Count, Matrix, Number, Vector, check_covariance
+from lscan.calibration.planemap import square_root
 from lscan.records import Floats, Ints, Marks
 
 Fit = Literal["1", "2", "bspline"]

@@ -15,15 +15,12 @@ import numpy as np
 from numpy.polynomial import legendre
 from pydantic import Field, model_validator
 
+from lscan.calibration.fields import STRICT, Matrix, Place, check_covariance
+from lscan.calibration.marks import covered_region
 from lscan.calibration.planemap import (
-    STRICT,
     Estimate,
     MapSolver,
-    Matrix,
-    Place,
     SolvedMap,
-    check_covariance,
-    covered_region,
     estimate_of,
     separate_modes,
     square_root,
@@ -221,12 +218,8 @@ class PolynomialSolver(MapSolver[Polynomial]):
         solved = super().restore(variant, parameters)
         shape = (2, TERMS[int(variant) - 1])
         if solved.coefficients.shape != shape:
-            raise InputError(
-                "bad shape",
-                where="parameters.coefficients",
-                value=solved.coefficients.shape,
-                allowed=shape,
-            )
+            what, where = "bad shape", "parameters.coefficients"
+            raise InputError(what, where=where, value=solved.coefficients.shape, allowed=shape)
         return solved
 
 

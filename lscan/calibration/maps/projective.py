@@ -12,17 +12,14 @@ import numpy as np
 from pydantic import model_validator
 from scipy.optimize import least_squares
 
+from lscan.calibration.fields import Matrix, Vector, check_covariance, of_length
 from lscan.calibration.maps.polynomial import Scaling, hartley
+from lscan.calibration.marks import covered_region
 from lscan.calibration.planemap import (
     Estimate,
     MapSolver,
-    Matrix,
     SolvedMap,
-    Vector,
-    check_covariance,
-    covered_region,
     estimate_of,
-    of_length,
     square_root,
     with_lack_of_fit,
 )

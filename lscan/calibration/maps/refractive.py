@@ -11,19 +11,10 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import AfterValidator, Field
 
+from lscan.calibration.fields import Matrix, Number, Place, check_theta, of_length
+from lscan.calibration.marks import covered_region, found_on, joined_marks, without
 from lscan.calibration.physical import PhysicalMap, SheetGeometry, change_modes, unexplained_mm
-from lscan.calibration.planemap import (
-    MapSolver,
-    Matrix,
-    Number,
-    Place,
-    check_theta,
-    covered_region,
-    found_on,
-    joined_marks,
-    of_length,
-    without,
-)
+from lscan.calibration.planemap import MapSolver
 from lscan.camera.posedboards import CAMERA, POSE, CameraPriors, PortKind, PosedBoards, priors_of
 from lscan.camera.resection import (
     MODE_STEP,
@@ -188,11 +179,7 @@ class Refractive(PhysicalMap):
         """Camera and board, in whose plane the sheet lies."""
         view = self.view
         return SheetGeometry(
-            view.theta[: len(CAMERA)],
-            self.port,
-            view.axes[0],
-            view.places_mm[0],
-            self.centre_mm,
+            view.theta[: len(CAMERA)], self.port, view.axes[0], view.places_mm[0], self.centre_mm
         )
 
     def in_water(self, known: Known) -> Self:

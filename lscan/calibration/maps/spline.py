@@ -18,20 +18,15 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.interpolate import BSpline
 
+from lscan.calibration.fields import STRICT, Matrix, Vector
 from lscan.calibration.maps.polynomial import Scaling, box, terms
 from lscan.calibration.maps.projective import Projective, solver as projective
+from lscan.calibration.marks import Region, all_marks, covered_region, found_marks
 from lscan.calibration.planemap import (
-    STRICT,
     Estimate,
     MapSolver,
-    Matrix,
-    Region,
     SolvedMap,
-    Vector,
-    all_marks,
-    covered_region,
     estimate_of,
-    found_marks,
     separate_modes,
     with_lack_of_fit,
 )

@@ -14,19 +14,10 @@ from typing import Annotated, NoReturn, Self
 import numpy as np
 from pydantic import AfterValidator, PrivateAttr, model_validator
 
+from lscan.calibration.fields import Matrix, Number, Pair, Place, Vector, check_theta, of_length
+from lscan.calibration.marks import Region
 from lscan.calibration.physical import PhysicalMap, SheetGeometry
-from lscan.calibration.planemap import (
-    MapSolver,
-    Matrix,
-    Number,
-    Pair,
-    Place,
-    Region,
-    Vector,
-    check_theta,
-    full_name,
-    of_length,
-)
+from lscan.calibration.planemap import MapSolver, full_name
 from lscan.camera import project, rays
 from lscan.camera.optics import meet_plane
 from lscan.camera.posedboards import CAMERA, COUNT, WATER, PortKind, camera_of
@@ -165,12 +156,8 @@ class Metric(PhysicalMap):
         modes = np.column_stack([self.modes, np.zeros(len(self.modes))])
         modes[WATER] = 0.0
         modes[WATER, -1] = sigma
-        return self._with_fields(
-            theta=theta,
-            origin_px=project(camera, self.geometry.place_mm[None])[0],
-            modes=modes,
-            stated_water=known,
-        )
+        origin_px = project(camera, self.geometry.place_mm[None])[0]
+        return self._with_fields(theta=theta, origin_px=origin_px, modes=modes, stated_water=known)
 
     def error_modes(self, image_px: Floats) -> Floats:
         """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
@@ -224,12 +211,10 @@ class MetricSolver(MapSolver[Metric]):
         InputError
             Always; it says how a metric map is solved.
         """
-        raise InputError(
-            "a metric map is solved from pictures of a board in several poses",
-            where="plane map",
-            value=full_name("metric", variant),
-            allowed="lscan calibrate-metric VIEWS.toml -o FILE",
-        )
+        what = "a metric map is solved from pictures of a board in several poses"
+        where = "plane map"
+        allowed = "lscan calibrate-metric VIEWS.toml -o FILE"
+        raise InputError(what, where=where, value=full_name("metric", variant), allowed=allowed)
 
     def fit(self, reading: BoardReading, variant: str, optics: OpticsSection) -> NoReturn:
         """Refuse: one picture of the board does not hold what a metric map needs.

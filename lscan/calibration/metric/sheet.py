@@ -39,8 +39,7 @@ def distance_mm(points_mm: Floats, q_per_mm: Floats) -> Floats:
     points_mm : (K, 3) array, mm, camera frame
     q_per_mm : (3,) array, 1/mm, camera frame
     """
-    distances: Floats = (points_mm @ q_per_mm - 1) / np.linalg.norm(q_per_mm)
-    return distances
+    return (points_mm @ q_per_mm - 1) / np.linalg.norm(q_per_mm)
 
 
 def straight(boards: PosedBoards, line: LinePoints, board: int) -> Mask:
@@ -363,15 +362,13 @@ def _planes(points: Floats) -> Floats:
     normal = np.linalg.svd(points - middle[:, None], full_matrices=False)[2][:, 2]
     height = (middle * normal).sum(axis=1)
     seen = np.abs(height) > THROUGH_PINHOLE
-    planes: Floats = normal[seen] / height[seen, None]
-    return planes
+    return normal[seen] / height[seen, None]
 
 
 def _off_mm(ends: Floats, planes: Floats) -> Floats:
     """(V, P) mm, distance of each line's farther end from each plane (P, 3)."""
     length = np.linalg.norm(planes, axis=1)
-    off: Floats = np.abs((ends @ planes.T - 1) / length).max(axis=1)
-    return off
+    return np.abs((ends @ planes.T - 1) / length).max(axis=1)
 
 
 def _least_by_chance(off: Floats, half_length: float) -> tuple[int, int, float]:

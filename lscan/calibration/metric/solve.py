@@ -7,10 +7,10 @@ from typing import Any
 import cv2
 import numpy as np
 
+from lscan.calibration.marks import found_on, region_around
 from lscan.calibration.metric.planemap import Metric, SheetView, metric_map
 from lscan.calibration.metric.sheet import LaserPlane, NoLaserPlane, find_plane
 from lscan.calibration.metric.views import CalibrationView, FittedView, LinePoints
-from lscan.calibration.planemap import found_on, region_around
 from lscan.camera.optics import stated_water
 from lscan.camera.posedboards import COUNT, CameraPriors, PosedBoards, priors_of
 from lscan.camera.resection import (
@@ -182,13 +182,11 @@ def fit_views(
             )
         found = [seen for number in numbers if (seen := views[number].marks) is not None]
         marks = found_on(found, range(len(numbers)))
-        start = best_start(marks, priors, optics.port, image_size[0])
-        if start is None:
+        if (start := best_start(marks, priors, optics.port, image_size[0])) is None:
             message = "no camera explains the views of the board"
             raise UnsolvedViews(message, _views_with_faults(views, faults))
         fit = _fit(start, marks, priors)
-        wrong = _worst_view(fit, marks)
-        if wrong is None:
+        if (wrong := _worst_view(fit, marks)) is None:
             break
         index, faults[numbers[index]] = wrong
         del numbers[index]
@@ -542,11 +540,9 @@ def _with_line(view: FittedView, board: int, plane: LaserPlane) -> FittedView:
     good, far = plane.good[board], plane.distances_mm[board]
     shown = far[good] if good.any() else far[np.isfinite(far)]
     fault = plane.faults.get(board, "")
+    line_rms_mm = float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan
     fitted = replace(
-        view,
-        line_used=not fault,
-        line_points_used=int(good.sum()),
-        line_rms_mm=float(np.sqrt(np.mean(shown**2))) if len(shown) else np.nan,
+        view, line_used=not fault, line_points_used=int(good.sum()), line_rms_mm=line_rms_mm
     )
     return _with_reason(fitted, fault)
 

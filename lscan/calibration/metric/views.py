@@ -11,7 +11,7 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
-from lscan.calibration.planemap import Region, region_around
+from lscan.calibration.marks import Region, region_around
 from lscan.config.board import load_board
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
@@ -297,12 +297,8 @@ def read_views(
         own = (picture.shape[1], picture.shape[0])
         size = size or own
         if own != size:
-            raise InputError(
-                "is not of the first picture's size",
-                where=path,
-                value=own,
-                allowed=f"{size[0]} x {size[1]} px",
-            )
+            what = "is not of the first picture's size"
+            raise InputError(what, where=path, value=own, allowed=f"{size[0]} x {size[1]} px")
         return picture
 
     for entry in views.document.view:

@@ -350,9 +350,8 @@ class GrblMachine:
             raise DeviceError(f"{self._link.name}: $$ does not name ${missing[0]}; needs Grbl 1.1")
         for number in needed:
             if number >= 100 and settings[number] <= 0:
-                raise DeviceError(
-                    f"{self._link.name}: ${number}={settings[number]:g}; it must be above 0"
-                )
+                what = f"{self._link.name}: ${number}={settings[number]:g}; it must be above 0"
+                raise DeviceError(what)
         if (hold_ms := settings.get(1, KEPT_ON)) != KEPT_ON:
             _log.warning(
                 "%s: the motors let go %g ms after each move ($1=%g), so the head may creep "

@@ -195,8 +195,7 @@ class Dialogue(Exchange[Message]):
 
     def status(self) -> StatusReport:
         """A report asked for now, its lengths in the controller's unit."""
-        report = self._report(self.following)
-        if report is None:
+        if (report := self._report(self.following)) is None:
             raise self.silent("a status report")
         return report
 
@@ -227,9 +226,8 @@ class Dialogue(Exchange[Message]):
         message = self.read(deadline_s)
         if isinstance(message, Alarm):
             self.lost = True
-            raise DeviceError(
-                f"{self.link.name}: {in_words('ALARM', message.code)}; {self.alarm_remedy()}"
-            )
+            what = f"{self.link.name}: {in_words('ALARM', message.code)}; {self.alarm_remedy()}"
+            raise DeviceError(what)
         if isinstance(message, Banner):
             raise self.restarted()
         return message

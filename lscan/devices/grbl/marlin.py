@@ -89,8 +89,7 @@ class MarlinMachine:
         while link.line(link.clock() + 0.05) is not None:  # the settings a start prints
             pass
         answer = " ".join(self._exchange.query("M115", _OTHER_DIALECT))
-        firmware = _FIRMWARE.search(answer)
-        if firmware is None:
+        if (firmware := _FIRMWARE.search(answer)) is None:
             raise DeviceError(
                 f"{link.name}: is no Marlin: M115 answers {answer[:60]!r}; set track.options."
                 "dialect, or check port and baud rate"

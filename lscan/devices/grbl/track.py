@@ -24,10 +24,7 @@ class SerialTrack:
     """
 
     def __init__(
-        self,
-        machine: GrblMachine | MarlinMachine,
-        options: SerialTrackOptions,
-        link: Link,
+        self, machine: GrblMachine | MarlinMachine, options: SerialTrackOptions, link: Link
     ) -> None:
         """Wake the machine and home it where the options say so.
 

@@ -16,11 +16,6 @@ from lscan.devices.opencv_camera.options import Capture, OpenCapture, OpencvOpti
 from lscan.devices.opencv_camera.reader import open_capture
 
 __all__ = [
-    "Capture",
-    "OpenCapture",
-    "OpencvCamera",
-    "OpencvOptions",
-    "Setting",
-    "camera_driver",
+    "Capture", "OpenCapture", "OpencvCamera", "OpencvOptions", "Setting", "camera_driver",
     "open_capture",
-]
+]  # fmt: skip

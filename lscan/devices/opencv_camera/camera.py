@@ -194,8 +194,7 @@ class OpencvCamera:
         fault = ""
         for _ in range(retries + 1):
             picture = self._take(after_s)
-            fault = self._fault(picture, may_be_black)
-            if not fault:
+            if not (fault := self._fault(picture, may_be_black)):
                 self._last = picture.image
                 return picture
         raise DeviceError(f"{self._options.name}: {fault}, {retries + 1} times in a row")
@@ -328,21 +327,16 @@ class OpencvCameraDriver:
         """
         options = self._options(rig_file)
         if rig_file.rig.plan.paired and not options.live:
-            raise InputError(
-                "a video file does not see the laser being switched",
-                where=f"{rig_file.source}: plan.laser",
-                value=rig_file.rig.plan.laser,
-                allowed="untouched, on; or a camera.options.device or url",
-            )
+            what = "a video file does not see the laser being switched"
+            where = f"{rig_file.source}: plan.laser"
+            allowed = "untouched, on; or a camera.options.device or url"
+            raise InputError(what, where=where, value=rig_file.rig.plan.laser, allowed=allowed)
 
     def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:
         """Where its pictures come from, and whether its exposure can be set."""
         options = self._options(rig_file)
         kind = "device" if options.device is not None else "url" if options.url else "file"
-        return {
-            kind: str(getattr(options, kind)),
-            "exposure_settable": options.exposure_settable,
-        }
+        return {kind: str(getattr(options, kind)), "exposure_settable": options.exposure_settable}
 
     def open(self, rig_file: RigFile, track: Track) -> OpencvCamera:
         """The camera, ready to grab; DeviceError where it is not as the rig file says."""
@@ -352,12 +346,9 @@ class OpencvCameraDriver:
         section, where = rig_file.rig.camera, rig_file.source
         options = check(OpencvOptions, section.options, where=where, prefix="camera.options")
         if options.file is not None and not os.path.isfile(options.file):  # noqa: PTH113
-            raise InputError(
-                "camera.options.file: no such file",
-                where=where,
-                value=options.file,
-                allowed="a video, its path counted from the rig file's folder",
-            )
+            what = "camera.options.file: no such file"
+            allowed = "a video, its path counted from the rig file's folder"
+            raise InputError(what, where=where, value=options.file, allowed=allowed)
         return options
 
 

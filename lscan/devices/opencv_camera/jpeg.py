@@ -119,8 +119,7 @@ def is_whole(data: bytes) -> bool:
     ----------
     data : a JPEG file, from its beginning to its end, that ``decode_jpeg`` can decode
     """
-    layout = _layout(data)
-    if layout is None:
+    if (layout := _layout(data)) is None:
         return True
     runs = _runs(data[layout.start :])
     if len(runs) != len(layout.last_units):
@@ -278,8 +277,7 @@ class JpegStream:
         Raises DeviceError where packets are broken or never need to be waited for.
         """
         for _ in range(MOST_BROKEN):
-            packet = self._next_packet()
-            if packet is None:
+            if (packet := self._next_packet()) is None:
                 return False, None
             file = jpeg_file(packet)
             image = decode_jpeg(file, self._name)

@@ -363,8 +363,7 @@ def device_identity(device: int | str | None, root: Path = ROOT) -> str | None:
         return None
     path = root / f"dev/video{device}" if isinstance(device, int) else root / device.lstrip("/")
     node = path.resolve()
-    names = names_by_id(root).get(node)
-    if names:
+    if names := names_by_id(root).get(node):
         return names[0].rpartition("/")[2]
     try:
         return (root / "sys/class/video4linux" / node.name / "name").read_text().strip() or None

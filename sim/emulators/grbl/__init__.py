@@ -17,17 +17,6 @@ from sim.emulators.grbl.protocol import (
 )
 
 __all__ = [
-    "DEFAULTS",
-    "FLUIDNC",
-    "GRBL",
-    "GRBLHAL",
-    "GRBLHAL_AS_GRBL",
-    "GRBL_ESP32",
-    "DirectLine",
-    "Faults",
-    "Firmware",
-    "GrblEmulator",
-    "MarlinEmulator",
-    "PseudoTerminal",
-    "SimulatedTime",
-]
+    "DEFAULTS", "FLUIDNC", "GRBL", "GRBLHAL", "GRBLHAL_AS_GRBL", "GRBL_ESP32", "DirectLine",
+    "Faults", "Firmware", "GrblEmulator", "MarlinEmulator", "PseudoTerminal", "SimulatedTime",
+]  # fmt: skip

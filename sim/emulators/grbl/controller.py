@@ -11,20 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from sim.emulators.grbl import protocol
 from sim.emulators.grbl.machine import NO_FAULTS, EmulatedController, Faults, garbled
-from sim.emulators.grbl.protocol import (
-    GRBL,
-    INCH_MM,
-    LONGEST,
-    Firmware,
-    GcodeError,
-    Modes,
-    change_setting,
-    clean,
-    coordinates,
-    parse_block,
-    setting_lines,
-)
 
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 PLANNED = 15  # blocks the planner holds
@@ -37,7 +25,9 @@ class GrblEmulator(EmulatedController):
 
     _faults, _generator = NO_FAULTS, np.random.default_rng(0)
 
-    def __init__(self, *machine: Any, firmware: Firmware = GRBL, **more: Any) -> None:
+    def __init__(
+        self, *machine: Any, firmware: protocol.Firmware = protocol.GRBL, **more: Any
+    ) -> None:
         """Switch it on.
 
         Parameters
@@ -128,7 +118,7 @@ class GrblEmulator(EmulatedController):
     # ---- states -------------------------------------------------------------------------
 
     def _power_up(self) -> None:
-        self._alarm, self._modes = bool(self.settings[22]), Modes(firmware=self.firmware)
+        self._alarm, self._modes = bool(self.settings[22]), protocol.Modes(firmware=self.firmware)
         self._start()
 
     def _start(self) -> None:
@@ -192,23 +182,23 @@ class GrblEmulator(EmulatedController):
                 self._planner.resume(self._last_s)
         elif byte in (10, 13):
             self._end_line()
-        elif byte != ord(" ") and byte < 0x80 and len(self._line) <= LONGEST:
+        elif byte != ord(" ") and byte < 0x80 and len(self._line) <= protocol.LONGEST:
             self._line.append(byte)
 
     def _process(self) -> None:
         while self._pending and not (
             self._critical or self._homing or self._held or self._suspended
         ):
-            text = clean(self._pending[0])
+            text = protocol.clean(self._pending[0])
             waits = "M" in text and not self._planner.jogging  # then it is refused
             if len(self._planner) >= PLANNED or (len(self._planner) and waits):
                 return
             self._pending.popleft()
             try:
-                if len(text) > LONGEST:
-                    raise GcodeError(11)
+                if len(text) > protocol.LONGEST:
+                    raise protocol.GcodeError(11)
                 self._command(text[1:]) if text.startswith("$") else self._execute(text)
-            except GcodeError as error:
+            except protocol.GcodeError as error:
                 self._say(f"error:{error.code}")
                 continue
             if not self._critical and not self._homing:
@@ -216,19 +206,19 @@ class GrblEmulator(EmulatedController):
 
     def _report(self) -> None:
         """Answer ``?``: the offset in the first and then each tenth report, Ov in the next."""
-        unit = 1 / INCH_MM if self.settings[13] else 1.0
+        unit = 1 / protocol.INCH_MM if self.settings[13] else 1.0
         place_mm = np.array(self._axes.counted_mm(self._last_s))
         if int(self.settings[10]) & 1:
-            position = f"MPos:{coordinates(place_mm, unit)}"
+            position = f"MPos:{protocol.coordinates(place_mm, unit)}"
         else:
-            position = f"WPos:{coordinates(place_mm - self._modes.offset_mm, unit)}"
+            position = f"WPos:{protocol.coordinates(place_mm - self._modes.offset_mm, unit)}"
         feed = self._planner.speed_mm_s(self._last_s) * 60 * unit
         fields = [self._state(), position]
         if int(self.settings[10]) & 2:
             fields.append(f"Bf:{PLANNED - len(self._planner)},{128 - len(self._line)}")
         fields.append(f"FS:{feed:.0f},{self.laser_power:.0f}")
         if self._reports % 10 == 0:
-            fields.append(f"WCO:{coordinates(self._modes.offset_mm, unit)}")
+            fields.append(f"WCO:{protocol.coordinates(self._modes.offset_mm, unit)}")
         elif self._reports % 10 == 1:
             fields.append("Ov:100,100,100")
         self._reports += 1
@@ -246,11 +236,11 @@ class GrblEmulator(EmulatedController):
         elif text == "G":
             self._say(self._modes.words(bool(self.settings[13])))
         elif text not in ("$", "I", "X", "H") and "=" not in text:
-            raise GcodeError(3)
+            raise protocol.GcodeError(3)
         elif self._state() not in ("Idle", "Alarm"):
-            raise GcodeError(8)
+            raise protocol.GcodeError(8)
         elif text == "$":
-            self._say(*setting_lines(self.settings, self.firmware.silent_settings))
+            self._say(*protocol.setting_lines(self.settings, self.firmware.silent_settings))
         elif text == "I":
             self._say("[VER:1.1h.20190830:]", "[OPT:V,15,128]")
         elif text == "X":
@@ -259,36 +249,36 @@ class GrblEmulator(EmulatedController):
                 self._say("[MSG:Caution: Unlocked]")
         elif text == "H":
             if not self.settings[22]:
-                raise GcodeError(5)
+                raise protocol.GcodeError(5)
             self._alarm = False
             self._start_homing()
         else:
-            change_setting(self.settings, *text.split("=", 1))
+            protocol.change_setting(self.settings, *text.split("=", 1))
 
     def _parameters(self) -> None:
         for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30"):
             self._say(f"[{name}:0.000,0.000,0.000]")
-        offset = coordinates(self._modes.offset_mm)
+        offset = protocol.coordinates(self._modes.offset_mm)
         self._say(f"[G92:{offset}]", "[TLO:0.000]", "[PRB:0.000,0.000,0.000:0]")
 
     # ---- G-code -------------------------------------------------------------------------
 
     def _jog(self, text: str) -> None:
         if not text.startswith("J="):
-            raise GcodeError(16)
+            raise protocol.GcodeError(16)
         if self._state() not in ("Idle", "Jog"):
-            raise GcodeError(8)
-        block = parse_block(text[2:])
+            raise protocol.GcodeError(8)
+        block = protocol.parse_block(text[2:])
         allowed = block.codes.keys() <= {"units", "distance", "once"}
         if not allowed or block.codes.get("once", 53) != 53 or {"S", "T"} & block.words.keys():
-            raise GcodeError(16)
+            raise protocol.GcodeError(16)
         if not block.axes:
-            raise GcodeError(26)
+            raise protocol.GcodeError(26)
         if not block.words.get("F"):
-            raise GcodeError(22)
+            raise protocol.GcodeError(22)
         target_mm = self._target(block)
         if self._axes.is_beyond(target_mm):
-            raise GcodeError(15)
+            raise protocol.GcodeError(15)
         self._axes.push(target_mm, self._modes.feed_of(block), self._last_s, jog=True)
 
     def _execute(self, text: str) -> None:
@@ -296,8 +286,8 @@ class GrblEmulator(EmulatedController):
         if text == "":
             return
         if self._alarm or self._state() == "Jog":
-            raise GcodeError(9)
-        block = parse_block(text)
+            raise protocol.GcodeError(9)
+        block = protocol.parse_block(text)
         self._modes.take(block)
         if block.codes.get("once") == 92:
             self._modes.shift(block, self._planner.planned_mm(self._last_s))
@@ -326,7 +316,7 @@ class MarlinEmulator(EmulatedController):
     machine_type = "Track"
 
     def _power_up(self) -> None:
-        self._modes = Modes(feed_mm_min=600.0)
+        self._modes = protocol.Modes(feed_mm_min=600.0)
         self._say("start", f"Marlin {VERSION}")
 
     def _update(self) -> None:
@@ -344,7 +334,7 @@ class MarlinEmulator(EmulatedController):
 
     def _process(self) -> None:
         while self._pending and not self._homing:
-            text = clean(self._pending[0])
+            text = protocol.clean(self._pending[0])
             if len(self._planner) and text.startswith(("M400", "M3", "M5", "G28")):
                 if self._last_s - self._spoke_s >= KEEPALIVE_S:
                     self._say("echo:busy: processing")
@@ -374,10 +364,10 @@ class MarlinEmulator(EmulatedController):
             self._planner.halt(self._last_s)
         elif text != "M400":
             try:
-                block = parse_block(text)
+                block = protocol.parse_block(text)
                 self._modes.take(block)
                 if block.axes:
                     self._axes.push(self._target(block), self._modes.feed_mm_min, self._last_s)
-            except GcodeError:
+            except protocol.GcodeError:
                 self._say(f'echo:Unknown command: "{text}"')
         self._say("ok")

@@ -62,8 +62,7 @@ def parse_block(text: str) -> GcodeBlock:
     while at < len(text):
         if not text[at].isalpha():
             raise GcodeError(1)
-        word = _WORD.match(text, at)
-        if word is None:
+        if (word := _WORD.match(text, at)) is None:
             raise GcodeError(2)
         _take(block, word[1], float(word[2]))
         at = word.end()
@@ -75,8 +74,7 @@ def _take(block: GcodeBlock, letter: str, value: float) -> None:
         raise GcodeError(23 if letter == "M" else 20)
     if letter in GROUPS:
         groups = GROUPS[letter].items()
-        group = next((name for name, codes in groups if value in codes), None)
-        if group is None:
+        if (group := next((name for name, codes in groups if value in codes), None)) is None:
             raise GcodeError(20)
         if group in block.codes:
             raise GcodeError(21)
@@ -176,9 +174,7 @@ class Modes:
 
     def feed_of(self, block: GcodeBlock) -> float:
         """The block's feed in mm/min, the modal one where it has none."""
-        if "F" in block.words:
-            return block.words["F"] * self.unit_mm(block)
-        return self.feed_mm_min
+        return block.words["F"] * self.unit_mm(block) if "F" in block.words else self.feed_mm_min
 
     @property
     def rate_mm_min(self) -> float:

@@ -91,10 +91,7 @@ def scatter_kernel(spread: Spread, extinction_per_mm: float, smallest_rad: float
     angle = np.geomspace(sigmas[0], FARTHEST * WIDEST_GAUSSIAN_RAD, ANGLES_A_LEVEL * levels)
     light = _irradiance(spread, extinction_per_mm, angle)
     moved = _irradiance(spread, extinction_per_mm, angle * SHIFT)
-    weights, other = (
-        _coefficients(angle, sigmas, light),
-        _coefficients(angle, sigmas, moved),
-    )
+    weights, other = (_coefficients(angle, sigmas, light), _coefficients(angle, sigmas, moved))
     ratio = np.median(other[..., 0] / weights[..., 0], axis=(0, 1))
     return ScatterKernel(sigmas, weights, np.log(np.maximum(ratio, 1e-3)) / np.log(SHIFT))
 

@@ -326,11 +326,7 @@ def _cluster(
 
 @dr.syntax
 def received(
-    line: LitLine,
-    point: mi.Point3f,
-    normal: mi.Vector3f,
-    extinction: mi.Float,
-    active: mi.Bool,
+    line: LitLine, point: mi.Point3f, normal: mi.Vector3f, extinction: mi.Float, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
     """Irradiance in mW/mm2 of places by the matt segments of a line, if none is hidden.
 
@@ -591,16 +587,10 @@ def _basis(back: Part, along: Part, outward: Part) -> list[Part]:
     back, along, outward: the normal's parts back to the apex, along the fan, out of the sheet.
     """
     return [
-        back,
-        along,
-        outward,
-        back * (1 - back),
-        along * along,
-        outward * outward,
-        back * along,
-        back * outward,
-        along * outward,
-    ]
+        back, along, outward,
+        back * (1 - back), along * along, outward * outward,
+        back * along, back * outward, along * outward,
+    ]  # fmt: skip
 
 
 def _share(sheet: LaserSheet, phi: mi.Float, rho: mi.Float, s: mi.Float) -> mi.Float:

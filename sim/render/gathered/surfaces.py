@@ -462,11 +462,7 @@ OFF_SURFACE_MM = 0.01  # off the surface
 
 
 def visible_share(
-    scene: mi.Scene,
-    sheet: LaserSheet,
-    phase: PhaseTable,
-    point: mi.Point3f,
-    normal: mi.Vector3f,
+    scene: mi.Scene, sheet: LaserSheet, phase: PhaseTable, point: mi.Point3f, normal: mi.Vector3f
 ) -> mi.Float:
     """Share of the sheet's light, scattered once, that gets to places of surfaces, 0 to 1.
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.linalg import solveh_banded
 from scipy.sparse import csc_array, dia_array, diags_array, eye_array, kron
 
-from lscan.files.disk import long_work
+from lscan.files.cache import long_work
 from lscan.records import Floats, Ints, Mask
 from sim.render.ambient import reflectance
 from sim.render.firstorder import HEAD, HeadFrame, HeadRays
@@ -159,12 +159,7 @@ class HaloPaths:
         )
 
     def _lights(
-        self,
-        scene: mi.Scene,
-        eye: mi.Point3f,
-        way: mi.Vector3f,
-        end: mi.Float,
-        line: LinePlaces,
+        self, scene: mi.Scene, eye: mi.Point3f, way: mi.Vector3f, end: mi.Float, line: LinePlaces
     ) -> tuple[mi.Float, mi.Float]:
         """Light scattered once into the camera's rays, left by surfaces, and by planes."""
         phase, extinction = self._phase, self._extinction

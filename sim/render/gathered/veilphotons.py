@@ -376,12 +376,7 @@ class _Tracer:
         return random
 
     def _add(
-        self,
-        seen: mi.Vector3f,
-        angle: mi.Float,
-        light: mi.Float,
-        depth: mi.Float,
-        active: mi.Bool,
+        self, seen: mi.Vector3f, angle: mi.Float, light: mi.Float, depth: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Bool]:
         """Add light to the cell in which it is seen; what was added, and where there is a cell."""
         ahead = dr.dot(seen, self.ahead)

@@ -201,9 +201,8 @@ class RefractiveCamera(mi.Sensor):
             An open aperture lacks the distance it is focused at.
         """
         if aperture_mm > 0 and lens.focus_mm is None:
-            raise InputError(
-                "focus_mm of a lens with an open aperture", value=None, allowed="a distance in mm"
-            )
+            what = "focus_mm of a lens with an open aperture"
+            raise InputError(what, value=None, allowed="a distance in mm")
         self.lens_is_open = aperture_mm > 0
         self.pupil_radius = opaque(aperture_mm / 2)
         self.focus = opaque(lens.focus_mm or 1.0)

@@ -148,11 +148,7 @@ class Approach:
 
 
 def approach(
-    table: PhaseTable,
-    origin: mi.Point3f,
-    direction: mi.Vector3f,
-    end: mi.Float,
-    point: mi.Point3f,
+    table: PhaseTable, origin: mi.Point3f, direction: mi.Vector3f, end: mi.Float, point: mi.Point3f
 ) -> Approach:
     """The line from ``origin`` seen from ``point``."""
     offset = point - origin

@@ -256,8 +256,7 @@ class SheetIntegrator(WaterIntegrator):
 
     def _unshaded(self, point: mi.Point3f) -> mi.Float:
         """Share of the ambient light that reaches a point of a surface."""
-        shade = self.penumbra
-        if shade is None:
+        if (shade := self.penumbra) is None:
             return mi.Float(1)
         into = (point.x - shade.x_mm) * (1 if shade.side == "right" else -1) / shade.width_mm
         return shade.left + (1 - shade.left) * 0.5 * (1 - dr.erf(into / sqrt(2)))

@@ -175,8 +175,7 @@ class Catalogue(Strict):
     def _names_once(self) -> Self:
         for kind in ("camera", "lens", "laser", "window", "track"):
             names = [part.name for part in getattr(self, kind)]
-            twice = sorted({name for name in names if names.count(name) > 1})
-            if twice:
+            if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"{kind}: {twice[0]!r} stands for several parts")
         return self
 
@@ -415,7 +414,6 @@ def _chosen(key: str, globs: Globs, names: list[str]) -> tuple[str, ...]:
     """The names that one of the patterns fits, in the catalogue's order."""
     for pattern in globs:
         if not any(fnmatchcase(name, pattern) for name in names):
-            raise InputError(
-                f"{key}: is no part's name or pattern", value=pattern, allowed=", ".join(names)
-            )
+            what = f"{key}: is no part's name or pattern"
+            raise InputError(what, value=pattern, allowed=", ".join(names))
     return tuple(name for name in names if any(fnmatchcase(name, glob) for glob in globs))

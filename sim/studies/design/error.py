@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from lscan.board.lattice import RIM_EVIDENCE
-from lscan.calibration.planemap import all_marks, joined_marks
+from lscan.calibration.marks import all_marks, joined_marks
 from lscan.config.documents import Document, merge
 from lscan.config.rig import parse_rig
 from lscan.errors import MeasurementError
@@ -231,9 +231,8 @@ def predicted(study: Study, above: AboveBounds = AT_BOUNDS) -> Prepared:
     bounds = line_bounds_px(study.scan, places, lines_at(study.scan, places))
     known = np.isfinite(bounds).all(axis=0) & on_board(study, reading, places)
     if known.sum() < np.count_nonzero(~known):
-        raise MeasurementError(
-            f"the line is seen on the board at {known.sum()} of {len(known)} places"
-        )
+        what = f"the line is seen on the board at {known.sum()} of {len(known)} places"
+        raise MeasurementError(what)
     sensor, both = bounds[:, known] * [[above.sensor], [above.both]]
     none = np.zeros(len(sensor))
     return Prepared(

@@ -98,8 +98,7 @@ def _margin(scene: Scene, line_mm: Floats) -> Floats:
     within = np.minimum(pixels + 0.5, size - 0.5 - pixels) / size
     half = np.radians(scene.tank.laser.fan_half_angle_deg)
     lit = (half - np.abs(fan_angle(scene.tank.laser, line_mm))) / half
-    margin: Floats = np.minimum(within.min(axis=1), lit)
-    return margin
+    return np.minimum(within.min(axis=1), lit)
 
 
 # A rig of chosen parts in chosen places, as the document of a scene.
@@ -212,10 +211,8 @@ def _geometry(design: RigDesign, tank: TankSections) -> Document:
     """Where camera and laser stand; the camera turns and moves about the place it aims at."""
     head, numbers, aim = tank.head, design.numbers, aim_mm(tank.head)
     if {STAND_OFF, BASELINE, DEPRESSION} <= numbers.keys():
-        raise InputError(
-            f"{STAND_OFF}, {BASELINE} and {DEPRESSION}: two of them give the third",
-            allowed="two of them",
-        )
+        what = f"{STAND_OFF}, {BASELINE} and {DEPRESSION}: two of them give the third"
+        raise InputError(what, allowed="two of them")
     old = camera_pose(head)
     level = old.rotation[1, 2] / cos(radians(head.depression_deg))  # of the axis, towards y
     depression = numbers.get(DEPRESSION, head.depression_deg)

@@ -11,7 +11,8 @@ import numpy as np
 from lscan.config.documents import Document, by_content, named_files
 from lscan.config.scenes import included_file
 from lscan.errors import LscanError
-from lscan.files.disk import json_text, make_folder
+from lscan.files.disk import make_folder
+from lscan.files.jsonfiles import json_text
 from sim.studies.budget import DesignTrial
 from sim.studies.design.catalogue import DesignSection, load_catalogue
 from sim.studies.design.error import PredictedError, above_bounds, design_rows, height_squares
@@ -25,12 +26,12 @@ from sim.studies.design.search import (
     front_of,
     search,
 )
+from sim.studies.executor import in_order
 from sim.studies.indices import Bounded, interval, pseudo_values
 from sim.studies.problem import SETS
 from sim.studies.rig.prepared import Prepared
-from sim.studies.run.executor import in_order
-from sim.studies.run.running import RigSource, StudyRunning, prepared_of
-from sim.studies.run.store import OK, identity_of, open_store
+from sim.studies.running import RigSource, StudyRunning, prepared_of
+from sim.studies.store import OK, identity_of, open_store
 from sim.studies.studyfile import Study
 
 DESIGNS, WINNERS = "designs.json", "winners"

@@ -18,7 +18,7 @@ import numpy as np
 from lscan.config.documents import Document, by_content
 from lscan.config.rig import parse_rig
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import json_text, read_json, write_json
+from lscan.files.jsonfiles import json_text, read_json, write_json
 from lscan.records import Floats, Mask, Progress
 from sim.scene import scene_of
 from sim.studies.design.catalogue import (
@@ -248,11 +248,8 @@ class _Kept:
     def _read(self, file: Path) -> None:
         content = read_json(file)
         if not isinstance(content, dict) or content.get("of") != self.of:
-            raise InputError(
-                "holds trials of another search",
-                where=file,
-                allowed="a file of the same design, catalogue and scene, or none",
-            )
+            allowed = "a file of the same design, catalogue and scene, or none"
+            raise InputError("holds trials of another search", where=file, allowed=allowed)
         for row in content["trials"]:
             figures = DesignFigures(**row["figures"]) if row["figures"] else None
             self._add(RigTrial(row["number"], row["parameters"], figures, row["reason"]))

@@ -17,7 +17,8 @@ import numpy as np
 from lscan.board import read_board
 from lscan.calibration.calibrate import without_outliers
 from lscan.calibration.check import map_for_rig
-from lscan.calibration.planemap import NamedSolver, find_solver, joined_marks, with_marks
+from lscan.calibration.marks import joined_marks, with_marks
+from lscan.calibration.planemap import NamedSolver, find_solver
 from lscan.errors import MeasurementError
 from lscan.records import BoardReading, Floats, Status, select
 from sim.render.tank import Tank

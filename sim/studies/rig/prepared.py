@@ -12,7 +12,8 @@ from io import BytesIO
 import numpy as np
 
 from lscan.board import read_board
-from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver, joined_marks, with_marks
+from lscan.calibration.marks import joined_marks, with_marks
+from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver
 from lscan.errors import MeasurementError
 from lscan.files.containers import npz_arrays
 from lscan.records import (
@@ -128,13 +129,8 @@ class Prepared:
 
 
 _NUMBERS = (
-    "marks_bias_px",
-    "marks_sigma_px",
-    "line_bias_px",
-    "corrected_px",
-    "sensor_px",
-    "speckle_px",
-)
+    "marks_bias_px", "marks_sigma_px", "line_bias_px", "corrected_px", "sensor_px", "speckle_px",
+)  # fmt: skip
 
 
 def prepare(study: Study, progress: Progress | None = None) -> Prepared:
@@ -170,9 +166,8 @@ def prepare(study: Study, progress: Progress | None = None) -> Prepared:
     known = np.isfinite(line) & np.isfinite(sensor) & np.isfinite(speckle)
     known &= on_board(study, reading, places)
     if known.sum() < np.count_nonzero(~known):
-        raise MeasurementError(
-            f"{study.scan.source}: the line is found at {known.sum()} of {len(known)} places"
-        )
+        what = f"{study.scan.source}: the line is found at {known.sum()} of {len(known)} places"
+        raise MeasurementError(what)
     is_corrected = study.scan.rig.sheet is not None
     return Prepared(
         places=select(places, known),

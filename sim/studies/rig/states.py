@@ -527,9 +527,7 @@ def require_one_line(scene: Scene) -> None:
         value, allowed = len(scene.tank.laser.sheets), "one line; the rendered tier takes several"
         raise InputError("laser.lines", where=scene.source, value=value, allowed=allowed)
     if scene.tank.head.speed_mm_s != 0:
-        raise InputError(
-            "head.speed_mm_s: the head moves while a picture is taken",
-            where=scene.source,
-            value=scene.tank.head.speed_mm_s,
-            allowed='0, or tier = "rendered"',
-        )
+        what = "head.speed_mm_s: the head moves while a picture is taken"
+        where = scene.source
+        allowed = '0, or tier = "rendered"'
+        raise InputError(what, where=where, value=scene.tank.head.speed_mm_s, allowed=allowed)

@@ -92,7 +92,7 @@ def test_processes_are_started_beneath_the_main_guard_of_a_script(
     ("ask", "given"),
     [
         ("from lscan.benchmark.suiterun import judge_shared as asked", "'none', [], []"),
-        ("from sim.studies.run.executor import open_workers as asked", "2"),
+        ("from sim.studies.executor import open_workers as asked", "2"),
     ],
 )
 def test_all_that_starts_processes_asks_for_the_main_guard(

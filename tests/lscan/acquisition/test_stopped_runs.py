@@ -11,7 +11,7 @@ from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.errors import DeviceError, InputError
-from lscan.files.disk import long_work_shown
+from lscan.files.cache import long_work_shown
 from lscan.records import Progress
 
 

@@ -12,7 +12,7 @@ from planeviews import BARREL, View, board_points, paper_board, read_board, view
 
 from lscan.calibration.calibrate import calibrate, outliers, resolve, without_outliers
 from lscan.calibration.calibrationfile import load_calibration, save_calibration
-from lscan.calibration.planemap import all_marks, without
+from lscan.calibration.marks import all_marks, without
 from lscan.config.board import Grid
 from lscan.records import BoardReading, Floats, Ints, RulerReading, Status
 

@@ -7,8 +7,8 @@ from hypothesis import given, strategies as st
 from planeviews import View, board_points, paper_board, read_board
 
 from lscan.calibration.maps.refractive import Refractive, solver
+from lscan.calibration.marks import Region
 from lscan.calibration.physical import BLOCK, SHARE, PhysicalMap, PixelTable, pixel_table
-from lscan.calibration.planemap import Region
 from lscan.config.rig import OpticsSection, SinceSection
 from lscan.records import Floats
 

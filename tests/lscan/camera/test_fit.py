@@ -3,7 +3,7 @@
 import numpy as np
 from metricviews import paper_rig, poses, views_of
 
-from lscan.calibration.planemap import found_on
+from lscan.calibration.marks import found_on
 from lscan.camera.posedboards import PosedBoards, priors_of
 from lscan.camera.resection import BoardMarks, _Problem, posed_boards, sound_marks
 from lscan.config.rig import OpticsSection

@@ -3,8 +3,11 @@
 import re
 import subprocess
 import sys
+from ast import literal_eval
 from importlib.metadata import entry_points
 from pathlib import Path
+from pkgutil import resolve_name
+from types import ModuleType
 
 import pytest
 import typer
@@ -18,7 +21,7 @@ from lscan.cli import console
 from lscan.cli.console import EXTRACTORS, MAPS, note, progress_bar, show, table
 from lscan.config.scenes import scene_about, scene_names, spec_names
 from lscan.records import Length
-from sim.cli.arguments import STUDIES
+from sim.cli.app import STUDIES
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -33,29 +36,43 @@ def test_the_list_of_commands_is_not_cut(capsys: pytest.CaptureFixture[str]) -> 
     assert "..." not in text.replace("[ARGS]...", "")
 
 
-@pytest.mark.parametrize("app", [lscan.cli.app.app, sim.cli.app.app], ids=["lscan", "lscan-sim"])
-def test_the_list_says_of_a_command_what_its_own_help_begins_with(app: typer.Typer) -> None:
-    groups = [typer.main.get_command(app)]
-    for group in groups:
+@pytest.mark.parametrize("module", [lscan.cli.app, sim.cli.app], ids=["lscan", "lscan-sim"])
+def test_commands_are_declared_as_their_functions_are(module: ModuleType) -> None:
+    """Their help comes from a part of their module; what is called is the whole one's function."""
+    places = {**module.COMMANDS, **module.SUITE_COMMANDS}
+    whole = typer.Typer(rich_markup_mode=None)
+    for name, place in places.items():
+        whole.command(name)(resolve_name(place))
+    helps = []
+    for app in (console.command_line("", places), whole):
+        app.callback()(console.before_any_command)
+        group = typer.main.get_command(app)
         assert isinstance(group, TyperGroup)
-        said = {name: group.commands.about(name) for name in group.commands}
-        groups += [one for one in group.commands.values() if isinstance(one, TyperGroup)]
-        for name, command in group.commands.items():  # loaded here at the latest
-            assert said[name] == command.get_short_help_str(limit=1000) != ""
+        helps.append([
+            command.get_help(command.make_context(name, [], resilient_parsing=True))
+            for name, command in sorted(group.commands.items())
+        ])  # fmt: skip
+    assert helps[0] == helps[1]
+    assert len(helps[0]) == len(places)
 
 
-def test_the_list_of_commands_loads_none_of_them() -> None:
+def test_no_help_loads_what_is_heavy() -> None:
     code = """
-import sys
-from lscan.cli.app import main
-sys.argv = ["lscan", "--help"]
-try:
-    main()
-finally:
-    print(*(name for name in sorted(sys.modules) if name.startswith("lscan.cli.")))
+import sys, typer, lscan.cli.app, sim.cli.app
+for module in (lscan.cli.app, sim.cli.app):
+    main = typer.main.get_command(module.app).main
+    for words in [[], *zip(module.COMMANDS), *(("suite", name) for name in module.SUITE_COMMANDS)]:
+        assert main([*words, "--help"], standalone_mode=False) == 0, words
+heavy = "scipy cv2 matplotlib mitsuba drjit plotly trimesh h5py shapely pandas xarray PIL sqlite3"
+print({name.partition(".")[0] for name in sys.modules} & {*heavy.split()})
+print({name for name in sys.modules if name.startswith(("lscan.cli.", "sim.cli."))})
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "lscan.cli.app lscan.cli.console"
+    *helps, heavy, loaded = done.stdout.splitlines()
+    assert sum(line.startswith("Usage: ") for line in helps) >= 32
+    assert heavy == "set()"
+    shared = {"lscan.cli.app", "lscan.cli.console", "sim.cli.app"}
+    assert literal_eval(loaded) == shared
 
 
 def test_help_names_all_extractors_maps_and_studies() -> None:

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from lscan.cli.console import command_line, progress_bar, run_command_line
-from lscan.files.disk import long_work
+from lscan.files.cache import long_work
 
 STEPS = 3
 ERASED = "\x1b[2K"  # what a terminal is sent before a line is drawn anew

@@ -23,12 +23,12 @@ from lscan.roughness import (
     patch_of,
     patch_of_cells,
     patch_of_profiles,
-    profile_waves,
     roughness_of,
     structure_function,
 )
 from lscan.roughness.patch import wavenumbers
 from lscan.surface import grid_cells, load_surface, save_surface
+from tests.validation.roughness.profiles import profile_waves
 
 CELL_CM = 0.1
 

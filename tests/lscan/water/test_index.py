@@ -7,7 +7,6 @@ from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
 from lscan.water import (
-    absolute_index,
     air_index,
     fresh_water_density,
     iapws_index,
@@ -24,6 +23,10 @@ QUAN_FRY = [
 ]
 LAST_DIGIT = 0.51e-6  # those values have six decimals
 PRESSURES = [(0.101325, 1.3316675), (1.0, 1.3318006), (10.0, 1.3331194)]  # at 20 C, 650 nm
+
+
+def absolute_index(t: float, salinity: float, nm: float, *mpa: float) -> float:
+    return refractive_index(t, salinity, nm, *mpa) * air_index(nm)
 
 
 # ---- Quan & Fry, air ---------------------------------------------------------------------

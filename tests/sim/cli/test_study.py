@@ -13,7 +13,7 @@ from study_cases import known_of
 from study_examples import study_results
 from typer.testing import CliRunner
 
-import sim.studies.run.running
+import sim.studies.running
 from lscan.cli.console import BAD_INPUT, STOPPED, run_command_line
 from lscan.config.scenes import spec_names
 from lscan.errors import InputError
@@ -57,7 +57,7 @@ def not_rendered() -> Iterator[None]:
         return known_of(study.file.calibrate, study.file.scan)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sim.studies.run.running, "prepare", known)
+        patch.setattr(sim.studies.running, "prepare", known)
         yield
 
 

@@ -10,7 +10,7 @@ from ship_spreads import shipped_waters
 from shown_work import ShownWork
 
 from lscan.errors import InputError
-from lscan.files.disk import long_work_shown
+from lscan.files.cache import long_work_shown
 from sim.render import spreads, spreads as photons
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.water import SpreadLookup

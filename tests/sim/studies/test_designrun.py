@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sim.studies.run.running as running_module
+import sim.studies.running as running_module
 from lscan.errors import InputError
 from sim.studies.budget import StudyResults
 from sim.studies.design.error import (
@@ -18,10 +18,10 @@ from sim.studies.design.error import (
     predicted,
 )
 from sim.studies.design.run import DESIGNS, design_problem
+from sim.studies.executor import in_order, open_workers
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig
-from sim.studies.run.executor import in_order, open_workers
-from sim.studies.run.running import StudyOptions
+from sim.studies.running import StudyOptions
 from sim.studies.study import run_study
 from sim.studies.studyfile import load_study
 

@@ -18,7 +18,7 @@ from distributed import Client, LocalCluster
 
 from lscan.errors import InputError, LscanError
 from lscan.records import Floats
-from sim.studies.run.executor import (
+from sim.studies.executor import (
     KILLED,
     Workers,
     in_order,
@@ -26,8 +26,8 @@ from sim.studies.run.executor import (
     package_versions,
     workers_of,
 )
-from sim.studies.run.running import TARGET_S, Batches, cost_estimate, prepared_of, run_rows
-from sim.studies.run.store import OK, Results, ResultStore, distinct_rows, identity_of, open_store
+from sim.studies.running import TARGET_S, Batches, cost_estimate, prepared_of, run_rows
+from sim.studies.store import OK, Results, ResultStore, distinct_rows, identity_of, open_store
 from tests.validation.studies.running import (
     ROWS,
     StubSource,
@@ -185,7 +185,7 @@ def test_what_was_prepared_is_kept_for_the_same_files_and_version_alone(
         made.append(f"{len(made)}".encode())
         return SimpleNamespace(packed=lambda: made[-1])
 
-    monkeypatch.setattr("sim.studies.run.running.prepare", prepared)
+    monkeypatch.setattr("sim.studies.running.prepare", prepared)
     scene = SimpleNamespace(document={"target": {"file": str(tmp_path / "mesh.stl")}})
     study: Any = SimpleNamespace(calibrate=scene, scan=scene, file=SimpleNamespace(places=()))
 
@@ -196,7 +196,7 @@ def test_what_was_prepared_is_kept_for_the_same_files_and_version_alone(
     assert [found(), found()] == [b"0", b"0"]
     (tmp_path / "mesh.stl").write_bytes(b"another")
     assert [found(), found()] == [b"1", b"1"]
-    monkeypatch.setattr("sim.studies.run.running.__version__", "99.0")
+    monkeypatch.setattr("sim.studies.running.__version__", "99.0")
     assert found() == b"2"
 
 
@@ -339,7 +339,7 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
 ) -> None:
     mine = iter([{**package_versions(), name: "99.0"}])  # the workers are asked later
     monkeypatch.setattr(
-        "sim.studies.run.executor.package_versions", lambda: next(mine, package_versions())
+        "sim.studies.executor.package_versions", lambda: next(mine, package_versions())
     )
     (address,) = in_threads.nthreads()
     told = f"the worker at {address}: has another version of {name} .got .*; allowed: 99.0, as here"
@@ -351,7 +351,7 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
 def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
     in_threads: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.studies.run.executor.__version__", "99.0")
+    monkeypatch.setattr("sim.studies.executor.__version__", "99.0")
     told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
     with (
         pytest.raises(InputError, match=told),
@@ -406,13 +406,13 @@ def test_a_cluster_whose_workers_leave_gets_fewer_calls(two_workers: Workers) ->
 
 def test_it_is_told_where_no_worker_can_do_anything(monkeypatch: pytest.MonkeyPatch) -> None:
     """Else every row would be said to kill its worker, and be kept so."""
-    monkeypatch.setattr("sim.studies.run.executor._end_with_parent", os.abort)
+    monkeypatch.setattr("sim.studies.executor._end_with_parent", os.abort)
     with open_workers(1) as workers, pytest.raises(LscanError, match="cannot evaluate any row"):
         list(in_order(workers, abs, [-1], str))
 
 
 def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim.studies.run.executor.CONNECT_S", 0.5)
+    monkeypatch.setattr("sim.studies.executor.CONNECT_S", 0.5)
     with (
         pytest.raises(InputError, match="--scheduler: no scheduler answers"),
         open_workers(scheduler="tcp://127.0.0.1:1"),

@@ -15,7 +15,7 @@ import pytest
 from lscan.errors import DiskError, InputError
 from lscan.records import Floats
 from sim.studies.problem import Output
-from sim.studies.run.store import (
+from sim.studies.store import (
     FORMER,
     MANIFEST,
     OK,
@@ -195,7 +195,7 @@ def test_a_manifest_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
 def test_a_second_process_is_refused(tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path; from lscan.errors import DiskError, InputError\n"
-        "from sim.studies.run.store import StudyIdentity, open_store\n"
+        "from sim.studies.store import StudyIdentity, open_store\n"
         "try: open_store(Path(sys.argv[1]), StudyIdentity({}, (), ()))\n"
         "except InputError as error: print(error)\n"
     )

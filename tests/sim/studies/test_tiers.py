@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from study_cases import known_of
 
-import sim.studies.run.running as running_module
+import sim.studies.running as running_module
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import load_scene
@@ -29,7 +29,7 @@ from sim.studies.problem import (
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig, RenderedRig
 from sim.studies.rig.prepared import Prepared, prepare
-from sim.studies.run.running import StudyOptions
+from sim.studies.running import StudyOptions
 from sim.studies.study import RENDERED_RUNS, run_study
 from sim.studies.studyfile import Study, study_of
 from sim.studies.tiers import large_causes, padded, paired, rendered_design, tier_rows

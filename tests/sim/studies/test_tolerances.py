@@ -14,14 +14,13 @@ from study_cases import known_of, study_with
 from lscan.config.documents import Document, check
 from lscan.errors import InputError
 from lscan.records import Floats
-from sim.studies import tiers as module
+from sim.studies import running, tiers as module
 from sim.studies.budget import Tolerances
 from sim.studies.page import kept
 from sim.studies.problem import Output
 from sim.studies.results import load_results
-from sim.studies.run import running
-from sim.studies.run.running import StudyOptions
-from sim.studies.run.store import Results
+from sim.studies.running import StudyOptions
+from sim.studies.store import Results
 from sim.studies.study import run_study
 from sim.studies.studyfile import Bound, StudyFile
 from sim.studies.tiers import (

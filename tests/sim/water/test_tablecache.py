@@ -15,7 +15,7 @@ import pytest
 from shown_work import ShownWork
 
 from lscan.errors import DiskError
-from lscan.files.disk import cache_folder, long_work_shown, read_cached
+from lscan.files.cache import cache_folder, long_work_shown, read_cached
 from lscan.records import Floats
 from lscan.suites.files import suite_cache
 from sim.water import tablecache

@@ -15,7 +15,7 @@ from scipy.integrate import simpson
 from lscan.figures import style
 from lscan.figures.page import ReportFigure
 from lscan.records import Floats
-from lscan.water import absolute_index, air_index, iapws_index
+from lscan.water import air_index, iapws_index
 from sim.render.spreads import make_spread, plane_crossings
 from sim.scene.matter import Water
 from sim.water import (
@@ -52,10 +52,8 @@ def largest(found: object, published: object) -> float:
 
 def _index_rows() -> list[Row]:
     celsius, raw, in_vacuum, raw_sea, in_vacuum_sea = np.array(PUBLISHED["index"]).T
-    relative, absolute = (
-        np.array([[index(t, s, NM) for s in (0.0, 35.0)] for t in celsius])
-        for index in (refractive_index, absolute_index)
-    )
+    relative = np.array([[refractive_index(t, s, NM) for s in (0.0, 35.0)] for t in celsius])
+    absolute = relative * air_index(NM)
     density, at, nm, official = PUBLISHED["iapws_check"]
     (lowest, published), *higher = PUBLISHED["pressure"]
     low = refractive_index(20.0, 0.0, NM, lowest)

@@ -5,13 +5,14 @@ from pathlib import Path
 import numpy as np
 
 from lscan.config.targets import Sandwave
-from lscan.roughness import Patch, patch_of, profile_waves
+from lscan.roughness import Patch, patch_of
 from lscan.surface import grid_cells
 from sim.scene import load_scene
 from tests.validation.exposures import read_scan
 from tests.validation.instrument.board import calibrations
 from tests.validation.instrument.workpieces import BORDER_MM, aligned_surface, every_frame
 from tests.validation.roughness.fields import RoughnessEffort
+from tests.validation.roughness.profiles import profile_waves
 from tests.validation.rows import Row, row
 
 CELL_MM = 3.0

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from lscan.errors import MeasurementError
 from sim.studies.design.run import RIGS as DESIGN_RIGS
-from sim.studies.run.running import StudyOptions
+from sim.studies.running import StudyOptions
 from sim.studies.study import run_study
 from sim.studies.tiers import RIGS
 from tests.validation.exposures import band_miss_percent

@@ -5,8 +5,8 @@ from pathlib import Path
 from lscan.records import Floats
 from sim.studies.problem import BASE, SETS, alone, columns, make_design
 from sim.studies.rig.prepared import Prepared, prepare
-from sim.studies.run.running import RigSource
-from sim.studies.run.store import evaluate_rows, identity_of
+from sim.studies.running import RigSource
+from sim.studies.store import evaluate_rows, identity_of
 from sim.studies.studyfile import Study, Tier, load_study
 from sim.studies.tiers import alone_squares, beginnings, large_causes, padded, paired
 from tests.validation.rows import Row, row

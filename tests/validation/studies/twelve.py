@@ -8,17 +8,17 @@ from typing import Any, Final
 
 import numpy as np
 
-from lscan.calibration.planemap import joined_marks
+from lscan.calibration.marks import joined_marks
 from lscan.config.documents import Document, write_toml
 from lscan.config.rig import parse_rig
 from lscan.errors import MeasurementError
 from lscan.records import Floats, select
 from sim.scene import Scene, load_scene, scene_of
+from sim.studies.executor import open_workers
 from sim.studies.rig.prepared import Prepared, on_board, stated
 from sim.studies.rig.states import ScanPlaces, places_of
-from sim.studies.run.executor import open_workers
-from sim.studies.run.running import RigSource, StudyOptions, run_rows
-from sim.studies.run.store import identity_of, open_store
+from sim.studies.running import RigSource, StudyOptions, run_rows
+from sim.studies.store import identity_of, open_store
 from sim.studies.study import run_study
 from sim.studies.studyfile import Study, study_of
 from sim.truth import board_truth

@@ -13,9 +13,9 @@ from lscan.benchmark.drawn import BOARDS, OPTICS, image_px, reading_of
 from lscan.board import read_board
 from lscan.board.chessboard import read_chessboard
 from lscan.calibration.calibrate import Calibration, calibrate
+from lscan.calibration.marks import without
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.metric.views import CalibrationView, LinePoints
-from lscan.calibration.planemap import without
 from lscan.config.board import Board, Grid
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, MeasurementError

@@ -15,7 +15,8 @@ from lscan.calibration.calibrate import Score, calibrate, deal, resolve, try_map
 from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.calibration.maps import auto
 from lscan.calibration.maps.auto import Auto, best_first, calibrate_best
-from lscan.calibration.planemap import NamedSolver, find_solver, without
+from lscan.calibration.marks import without
+from lscan.calibration.planemap import NamedSolver, find_solver
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, RulerReading
 

@@ -13,7 +13,8 @@ from planeviews import BARREL, View, board_points, paper_board, read_board, view
 from lscan.board import read_board as read_photograph
 from lscan.calibration.calibrate import residuals
 from lscan.calibration.maps.spline import solver
-from lscan.calibration.planemap import find_solver, without
+from lscan.calibration.marks import without
+from lscan.calibration.planemap import find_solver
 from lscan.config.board import Board
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Status

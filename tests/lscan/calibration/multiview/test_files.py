@@ -18,6 +18,7 @@ from lscan.calibration.calibrationfile import (
     load_plane_map,
     save_calibration,
 )
+from lscan.calibration.marks import without
 from lscan.calibration.metric import views as viewsfile
 from lscan.calibration.metric.solve import (
     MetricCalibration,
@@ -26,7 +27,7 @@ from lscan.calibration.metric.solve import (
     calibrate_metric,
 )
 from lscan.calibration.metric.views import CalibrationView, load_views, read_views
-from lscan.calibration.planemap import find_solver, without
+from lscan.calibration.planemap import find_solver
 from lscan.camera import CameraModel, project
 from lscan.cli.calibrate import calibrate_metric as command
 from lscan.config.rig import OpticsSection

@@ -33,16 +33,8 @@ import scipy
 from lscan.acquisition.run import first_difference
 from lscan.acquisition.scan import cores, require_guarded_main
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import (
-    content_sha256,
-    disk_errors,
-    json_text,
-    lock_folder,
-    make_folder,
-    parse_json,
-    read_json,
-    write_json,
-)
+from lscan.files.disk import content_sha256, disk_errors, lock_folder, make_folder
+from lscan.files.jsonfiles import json_text, parse_json, read_json, write_json
 from lscan.version import __version__
 from sim.render.backend import THREADS
 
@@ -139,8 +131,7 @@ def require_same(
     """
     if "sha256" in identity and kept.get("sha256") == identity["sha256"]:
         return
-    differing = first_difference(kept, parse_json(json_text(identity), file))
-    if differing is not None:
+    if (differing := first_difference(kept, parse_json(json_text(identity), file))) is not None:
         raise InputError(
             f"holds {what}, which differs in its {differing} ({file.name})",
             where=file.parent,

@@ -28,8 +28,8 @@ from lscan.errors import DiskError, InputError, LscanError
 from lscan.files.disk import disk_errors
 from lscan.records import Floats
 from lscan.version import __version__
+from sim.studies.executor import keep_identity, locked_folder, read_identity, require_same
 from sim.studies.problem import Output, StudyProblem, width
-from sim.studies.run.executor import keep_identity, locked_folder, read_identity, require_same
 
 MANIFEST = "manifest.json"
 RECORDS, FORMER = "results.db", "results.bin"
@@ -268,8 +268,7 @@ def open_store(folder: Path, identity: StudyIdentity) -> ResultStore:
 def _forget_damaged(database: sqlite3.Connection, file: Path) -> None:
     """Drop rows that a disk has changed since: they are evaluated again."""
     every = database.execute("SELECT rowid, row, status, numbers, checksum FROM results")
-    damaged = [(n,) for n, *content, checksum in every if _checksum(*content) != checksum]
-    if damaged:
+    if damaged := [(n,) for n, *content, checksum in every if _checksum(*content) != checksum]:
         _log.warning("%s: %d rows are damaged, and will be evaluated again", file, len(damaged))
         with database:
             database.executemany("DELETE FROM results WHERE rowid = ?", damaged)

@@ -20,10 +20,10 @@ from lscan.files.disk import read_bytes, write_atomically
 from lscan.records import Floats, Progress
 from lscan.version import __version__
 from sim.scene import Scene, scene_of
+from sim.studies.executor import KILLED, THIS_PROCESS, Workers, calls_done, open_workers
 from sim.studies.rig.evaluation import GeometricRig, RenderedRig
 from sim.studies.rig.prepared import MOST_PREPARED_BYTES, Prepared, prepare
-from sim.studies.run.executor import KILLED, THIS_PROCESS, Workers, calls_done, open_workers
-from sim.studies.run.store import (
+from sim.studies.store import (
     Batch,
     ProblemSource,
     Results,
@@ -123,13 +123,9 @@ class StudyRunning:
     def source(self, tier: Tier) -> RigSource:
         """What a worker makes the problem of a tier from."""
         return RigSource(
-            tier,
-            self.study.document,
-            self.study.calibrate.document,
-            self.study.scan.document,
-            self.packed,
-            self.study.source,
-        )
+            tier, self.study.document, self.study.calibrate.document, self.study.scan.document,
+            self.packed, self.study.source,
+        )  # fmt: skip
 
     def begin(self, tier: Tier, folder: str, rows: Floats) -> tuple[RigSource, ResultStore]:
         """The source and the store of a tier's runs; says how long these rows will take."""
@@ -152,14 +148,8 @@ class StudyRunning:
         self, source: RigSource, store: ResultStore, rows: Floats, *, agreed: bool = False
     ) -> Results:
         """The results of rows.  agreed: they were counted before."""
-        return run_rows(
-            source,
-            rows,
-            store,
-            self.workers,
-            progress=self.progress,
-            at_most=None if agreed else self.options.at_most,
-        )
+        at_most = None if agreed else self.options.at_most
+        return run_rows(source, rows, store, self.workers, progress=self.progress, at_most=at_most)
 
 
 def prepared_of(study: Study, file: Path, say: Callable[[str], None]) -> bytes:

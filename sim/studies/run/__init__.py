@@ -1,1 +1,0 @@
-"""The rows of a study run: by which workers, and where their results are kept."""
