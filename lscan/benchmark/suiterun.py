@@ -297,13 +297,20 @@ def row_of(
     total = sum(sums.values(), CaseSums())
     bias, square = _share(total.error, total.core), _share(total.square, total.core)
     return SuiteRow(
-        name, group, len(sums), bias,
+        name,
+        group,
+        len(sums),
+        bias,
         math.sqrt(max(square - bias**2, 0.0)) if total.core else math.nan,
-        math.sqrt(_share(total.square, total.bound)), 1 - _share(total.missed, total.clear),
-        _share(total.outlying, total.valued), _share(total.sure, total.valued),
-        _share(total.ghosts, total.dark), _share(total.honest, total.valued),
-        math.exp(_share(total.log_z, total.core) - LOG_Z), time,
-    )  # fmt: skip
+        math.sqrt(_share(total.square, total.bound)),
+        1 - _share(total.missed, total.clear),
+        _share(total.outlying, total.valued),
+        _share(total.sure, total.valued),
+        _share(total.ghosts, total.dark),
+        _share(total.honest, total.valued),
+        math.exp(_share(total.log_z, total.core) - LOG_Z),
+        time,
+    )
 
 
 def _share(part: float, whole: float) -> float:

@@ -251,9 +251,13 @@ def read_ply(content: bytes) -> PolygonMesh:
     unread += [f"face property {name!r}" for name in PLY_LEVELS if name in face.types]
     unread += [line for line in comments if line.lower().startswith("texturefile")]
     return PolygonMesh(
-        vertices.astype(float), corners, sizes, _ply_colours(vertex, tables["vertex"]),
-        _ply_colours(face, tables.get("face", [])), ", ".join(unread),
-    )  # fmt: skip
+        vertices.astype(float),
+        corners,
+        sizes,
+        _ply_colours(vertex, tables["vertex"]),
+        _ply_colours(face, tables.get("face", [])),
+        ", ".join(unread),
+    )
 
 
 def _ply_header(content: bytes) -> tuple[dict[str, PlyElement], str, list[str], memoryview]:

@@ -314,10 +314,14 @@ def fit_power_law(
     likelihood, theta = _most_likely(patch, band, stretched, response, known)
     covariance = likelihood.covariance(theta, seed, simulated, progress)
     return PowerLawFit(
-        law_of(theta), PARAMETERS[: len(theta)], covariance, 2 * (simulated // 2) - 1, band,
+        law_of(theta),
+        PARAMETERS[: len(theta)],
+        covariance,
+        2 * (simulated // 2) - 1,
+        band,
         len(likelihood.values),
         float(np.mean(likelihood.values / likelihood.expected(theta)) - 1),
-    )  # fmt: skip
+    )
 
 
 def most_likely_law(

@@ -60,9 +60,15 @@ def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: Layers)
     """
     pixels, places = _map(scene)
     return BoardCase(
-        name, axes, _exposed(scene, layers, 1)[0], scene.board(), scene.rig.optics,
-        joined_marks(board_truth(scene, scene.rig.plan.start_mm).centres), pixels, places,
-    )  # fmt: skip
+        name,
+        axes,
+        _exposed(scene, layers, 1)[0],
+        scene.board(),
+        scene.rig.optics,
+        joined_marks(board_truth(scene, scene.rig.plan.start_mm).centres),
+        pixels,
+        places,
+    )
 
 
 def _map(scene: Scene) -> tuple[Floats, Floats]:
@@ -114,12 +120,15 @@ def line_case(
     picture, exposure_ms = _exposed(scene, layers, 1)
     shown = truths if scene.tank.laser.on else ()
     return SuiteCase(
-        name, axes, picture,
+        name,
+        axes,
+        picture,
         _exposed(scene, layers.without_laser(), 2, exposure_ms=exposure_ms)[0] if pair else None,
         label_scene(scene, scene.rig.plan.start_mm, layers, shown, exposure_ms),
-        _truth_of(scene, truths, exposure_ms), scene.rig.stripe,
+        _truth_of(scene, truths, exposure_ms),
+        scene.rig.stripe,
         _layers_in_dn(scene, layers, exposure_ms),
-    )  # fmt: skip
+    )
 
 
 def _layers_in_dn(scene: Scene, layers: Layers, exposure_ms: float) -> LightLayers | None:
@@ -152,10 +161,13 @@ def _truth_of(scene: Scene, truths: Sequence[StripeTruth], exposure_ms: float) -
         return np.where(some, chosen, np.nan)
 
     return CaseTruth(
-        of([one.centre_px for one in truths]), of([one.width_px for one in lights]),
-        of([one.height_dn for one in lights]), of([one.noise_dn for one in lights]),
-        (several | hidden).astype(np.int64), status.astype(np.int64),
-    )  # fmt: skip
+        of([one.centre_px for one in truths]),
+        of([one.width_px for one in lights]),
+        of([one.height_dn for one in lights]),
+        of([one.noise_dn for one in lights]),
+        (several | hidden).astype(np.int64),
+        status.astype(np.int64),
+    )
 
 
 def turned_case(case: SuiteCase) -> SuiteCase:
@@ -284,10 +296,14 @@ def _case(
 ) -> ScanCase:
     lights = line_brightness(case.scan, truths, [exposure_ms for _, exposure_ms in frames])
     return ScanCase(
-        case.name, case.axes, board_case(case.board, case.name, case.axes, board),
-        tuple(picture for picture, _ in frames), case.scan.rig,
+        case.name,
+        case.axes,
+        board_case(case.board, case.name, case.axes, board),
+        tuple(picture for picture, _ in frames),
+        case.scan.rig,
         np.stack([truth.xz_mm for truth in truths]),
         np.stack([light.height_dn for light in lights]),
         np.stack([truth.multiple for truth in truths]).astype(np.int64),
-        np.stack([truth.status for truth in truths]).astype(np.int64), *slices,
-    )  # fmt: skip
+        np.stack([truth.status for truth in truths]).astype(np.int64),
+        *slices,
+    )

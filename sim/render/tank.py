@@ -343,10 +343,14 @@ class Tank:
             head, places_mm = self.scene.tank.head, self.scene.rig.plan.positions_mm()
             ends = places_mm[0], places_mm[-1]
             self._gathered = GatheredLight(
-                self.mitsuba_scene, self._parts, self.integrator, self._sparse.rays, head,
+                self.mitsuba_scene,
+                self._parts,
+                self.integrator,
+                self._sparse.rays,
+                head,
                 self.water,
                 [head_pose(head, place_mm) for place_mm in np.linspace(*ends, PLACES)],
-            )  # fmt: skip
+            )
 
     def _few_rays(self) -> SparseLaserLight | None:
         """What renders the laser's light of the first order from few rays, where that can be."""

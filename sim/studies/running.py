@@ -123,9 +123,13 @@ class StudyRunning:
     def source(self, tier: Tier) -> RigSource:
         """What a worker makes the problem of a tier from."""
         return RigSource(
-            tier, self.study.document, self.study.calibrate.document, self.study.scan.document,
-            self.packed, self.study.source,
-        )  # fmt: skip
+            tier,
+            self.study.document,
+            self.study.calibrate.document,
+            self.study.scan.document,
+            self.packed,
+            self.study.source,
+        )
 
     def begin(self, tier: Tier, folder: str, rows: Floats) -> tuple[RigSource, ResultStore]:
         """The source and the store of a tier's runs; says how long these rows will take."""
