@@ -169,9 +169,16 @@ def _heat(axes: Axes, errors: Mapping[tuple[str, str], float], limits: tuple[flo
 
 
 MAPS = (
-    "graticule-1", "graticule-2", "graticule-2-norulers", "graticule-bspline",
-    "projective", "polynomial-3", "polynomial-5", "spline", "refractive",
-)  # fmt: skip
+    "graticule-1",
+    "graticule-2",
+    "graticule-2-norulers",
+    "graticule-bspline",
+    "projective",
+    "polynomial-3",
+    "polynomial-5",
+    "spline",
+    "refractive",
+)
 PICTURES, QUICK_PICTURES = 6, 3  # of each kind of line
 DRAWS, QUICK_DRAWS = 5, 2  # of the noise of each board's marks
 

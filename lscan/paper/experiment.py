@@ -17,9 +17,14 @@ from lscan.stripe import extract_stripe
 # The records of the paper's whole experiment (Sec. IV), and what its board picture gives.
 
 METHODS = (
-    "graticule-1", "graticule-2", "graticule-bspline", "graticule-2-norulers",
-    "projective", "polynomial-3", "polynomial-5",
-)  # fmt: skip
+    "graticule-1",
+    "graticule-2",
+    "graticule-bspline",
+    "graticule-2-norulers",
+    "projective",
+    "polynomial-3",
+    "polynomial-5",
+)
 PICTURES_SHOWN = 3  # of Fig. 35
 
 

@@ -587,10 +587,16 @@ def _basis(back: Part, along: Part, outward: Part) -> list[Part]:
     back, along, outward: the normal's parts back to the apex, along the fan, out of the sheet.
     """
     return [
-        back, along, outward,
-        back * (1 - back), along * along, outward * outward,
-        back * along, back * outward, along * outward,
-    ]  # fmt: skip
+        back,
+        along,
+        outward,
+        back * (1 - back),
+        along * along,
+        outward * outward,
+        back * along,
+        back * outward,
+        along * outward,
+    ]
 
 
 def _share(sheet: LaserSheet, phi: mi.Float, rho: mi.Float, s: mi.Float) -> mi.Float:

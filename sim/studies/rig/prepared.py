@@ -129,8 +129,13 @@ class Prepared:
 
 
 _NUMBERS = (
-    "marks_bias_px", "marks_sigma_px", "line_bias_px", "corrected_px", "sensor_px", "speckle_px",
-)  # fmt: skip
+    "marks_bias_px",
+    "marks_sigma_px",
+    "line_bias_px",
+    "corrected_px",
+    "sensor_px",
+    "speckle_px",
+)
 
 
 def prepare(study: Study, progress: Progress | None = None) -> Prepared:
