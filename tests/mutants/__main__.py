@@ -24,7 +24,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from tests.support.places import ROOT, tracked
+
 LIMIT_S = 120.0
 BYTECODE = {"PYTHONDONTWRITEBYTECODE": "1"}
 
@@ -74,10 +75,10 @@ def listed(parts: Sequence[str] = ()) -> list[Mutant]:
 
 def copy_project(folder: Path) -> None:
     """Copy what git tracks, as it is in the working tree, into a folder."""
-    names = subprocess.check_output(["git", "ls-files", "-z"], cwd=ROOT, text=True).split("\0")
-    for name in filter(lambda name: (ROOT / name).is_file(), names[:-1]):
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(ROOT / name, folder / name)
+    for path in tracked(ROOT):
+        copy = folder / path.relative_to(ROOT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(path, copy)
 
 
 def run_tests(folder: Path, tests: Iterable[str], *options: str, **environment: str) -> Outcome:
@@ -90,7 +91,8 @@ def run_tests(folder: Path, tests: Iterable[str], *options: str, **environment: 
         "LSCAN_THREADS": "1",
         **environment,
     }
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not slow"]
+    command = [sys.executable, "-m", "pytest", "-q", "-m", "not slow"]
+    command += ["-p", "no:cacheprovider", "-p", "tests.mutants"]
     log, start = folder / "pytest.log", time.monotonic()
     with log.open("wb") as out:
         process = subprocess.Popen(
@@ -133,7 +135,7 @@ def try_mutant(mutant: Mutant, folder: Path) -> Outcome:
 
 
 def try_all(mutants: Sequence[Mutant], workers: int) -> bool:
-    """Try mutants in copies of the project, print how each ended, and say whether all are caught."""
+    """Try mutants in copies of the project, print how each ended; whether all are caught."""
     with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor(workers) as pool:
         copies = [Path(temporary) / str(number) for number in range(workers)]
         free: queue.SimpleQueue[Path] = queue.SimpleQueue()
