@@ -150,6 +150,7 @@ def test_a_bias_of_half_a_pixel_is_said(suite):
     right, wrong = suite_rows(run, ())
     assert wrong.bias_px - right.bias_px == pytest.approx(0.5, abs=1e-6)
     assert wrong.scatter_px == pytest.approx(right.scatter_px, rel=1e-6)
+    assert wrong.within_3_sigma < 0.5 < right.within_3_sigma  # the lines are known to a tenth of it
     by_target = suite_rows(run, ["target"])
     assert {row.group["target"] for row in by_target} == {"peak 150", "peak 30"}
     assert sum(row.cases for row in by_target) == 36
