@@ -1,5 +1,6 @@
 """The list of mutants is sound, and its runner tells what escapes from what is caught."""
 
+import re
 import shutil
 import subprocess
 from collections import Counter
@@ -19,8 +20,9 @@ TEXTS = {str(path.relative_to(ROOT)): path for path in tracked(ROOT, "*.py")}
 def test_a_mutant_changes_one_place_and_names_its_tests(mutant: Mutant) -> None:
     compile(mutant.text(TEXTS[mutant.file].read_text(encoding="utf-8")), mutant.file, "exec")
     assert mutant.tests
-    for file, _, name in (test.partition("::") for test in mutant.tests):
-        assert f"def {name.partition('[')[0]}(" in TEXTS[file].read_text(encoding="utf-8")
+    for file, name, *_ in (f"{test}::".split("::") for test in mutant.tests):
+        names = rf"^(def|class) {re.escape(name.partition('[')[0])}\b"
+        assert re.search(names, TEXTS[file].read_text(encoding="utf-8"), re.MULTILINE), name
 
 
 def test_every_room_has_two_mutants_and_none_is_listed_twice() -> None:

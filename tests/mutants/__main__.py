@@ -2,32 +2,35 @@
 
     python -m tests.mutants [PART ...] [--workers 2]
 
-PART: mutants whose file or words have it in them; all without. Each names the tests that must
-fail with it. First they are run as the project is: all pass, and none is marked slow. The exit
-code is 1 where a mutant escapes, or where tests could not run. Caches of lscan are not shared with
-the user's: a mutant must neither be hidden by a table of before nor leave one of its own.
+PART: only mutants whose file or words have it in them.  First all tests that they name are run in
+the copies as they are: they pass, and none is marked slow.  Then each mutant must make one of its
+own fail.  The exit code is 1 where one escapes.
+
+Each has a cache of lscan of its own, in which no table of before hides it, and leaves none.
 """
 
 import argparse
 import os
-import queue
 import re
 import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 import tomllib
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
+from tempfile import TemporaryDirectory
 
 from tests.support.places import ROOT, tracked
 
-LIMIT_S = 120.0
-BYTECODE = {"PYTHONDONTWRITEBYTECODE": "1"}
+LIMIT_S = 120.0  # of a mutant's tests; one that takes longer is not caught
+ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "LSCAN_THREADS": "1"}
+PYTEST = (sys.executable, "-m", "pytest", "-q", "-m", "not slow", "-p", "no:cacheprovider")
 
 
 @dataclass(frozen=True)
@@ -81,44 +84,30 @@ def copy_project(folder: Path) -> None:
         shutil.copy2(path, copy)
 
 
-def run_tests(folder: Path, tests: Iterable[str], *options: str, **environment: str) -> Outcome:
-    """Run tests of a copy of the project, with the packages of that copy."""
-    environment = {
-        **os.environ,
-        "PYTHONPATH": str(folder),  # of child processes as well
-        "XDG_CACHE_HOME": str(folder / "out" / "cache"),
-        "OPENBLAS_NUM_THREADS": "1",
-        "LSCAN_THREADS": "1",
-        **environment,
-    }
-    command = [sys.executable, "-m", "pytest", "-q", "-m", "not slow"]
-    command += ["-p", "no:cacheprovider", "-p", "tests.mutants"]
-    log, start = folder / "pytest.log", time.monotonic()
+def run_tests(
+    folder: Path, tests: Iterable[str], limit_s: float | None = None, **environment: str
+) -> Outcome:
+    """Run tests of a copy of the project, with the packages of that copy, until one fails."""
+    places = {"PYTHONPATH": str(folder), "XDG_CACHE_HOME": str(folder / "out" / "cache")}
+    log, begun_s = folder / "pytest.log", time.monotonic()
     with log.open("wb") as out:
         process = subprocess.Popen(
-            [*command, *options, *dict.fromkeys(tests)], cwd=folder, env=environment,
-            stdout=out, stderr=subprocess.STDOUT, start_new_session=True,
+            [*PYTEST, "-p", "tests.mutants", "-x", *dict.fromkeys(tests)], cwd=folder, stdout=out,
+            env=os.environ | ENVIRONMENT | places | environment, stderr=out, start_new_session=True,
         )  # fmt: skip
         try:
-            code: int | None = process.wait(LIMIT_S if options else None)
+            code: int | None = process.wait(limit_s)
         except subprocess.TimeoutExpired:
             code = None
-        finally:  # and what the tests have left running
-            with_all_children(process, signal.SIGKILL)
+        finally:
+            with suppress(ProcessLookupError):  # nothing that the tests started is left
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
     said = log.read_text(encoding="utf-8", errors="replace")
     failed = re.search(r"^FAILED \S*?::(\S+)", said, flags=re.MULTILINE)
     verdicts = {None: "took too long", 0: "escaped", 1: "caught" if failed else "no test failed"}
     verdict = verdicts.get(code, "not collected")
-    return Outcome(verdict, failed[1] if failed else "", time.monotonic() - start, said)
-
-
-def with_all_children(process: "subprocess.Popen[bytes]", number: int) -> None:
-    """Send a signal to a process and to all of its session."""
-    try:
-        os.killpg(process.pid, number)
-    except ProcessLookupError:
-        return
-    process.wait()
+    return Outcome(verdict, failed[1] if failed else "", time.monotonic() - begun_s, said)
 
 
 def try_mutant(mutant: Mutant, folder: Path) -> Outcome:
@@ -128,46 +117,45 @@ def try_mutant(mutant: Mutant, folder: Path) -> Outcome:
     shutil.rmtree(folder / "out" / "cache" / "lscan", ignore_errors=True)
     path.write_text(mutant.text(as_it_was), encoding="utf-8")
     try:
-        return run_tests(folder, mutant.tests, "-x", **BYTECODE)
+        return run_tests(folder, mutant.tests, LIMIT_S, PYTHONDONTWRITEBYTECODE="1")
     finally:
         path.write_text(as_it_was, encoding="utf-8")
         os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))  # what was compiled holds
 
 
-def try_all(mutants: Sequence[Mutant], workers: int) -> bool:
-    """Try mutants in copies of the project, print how each ended; whether all are caught."""
-    with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor(workers) as pool:
-        copies = [Path(temporary) / str(number) for number in range(workers)]
-        free: queue.SimpleQueue[Path] = queue.SimpleQueue()
-        tests = list(dict.fromkeys(test for mutant in mutants for test in mutant.tests))
+def try_all(mutants: Sequence[Mutant], workers: int = 2) -> bool:
+    """Try mutants in copies of the project and print how each ended; whether all are caught."""
+    tests = sorted({test for mutant in mutants for test in mutant.tests})
+    free: SimpleQueue[Path] = SimpleQueue()
+    with TemporaryDirectory() as temporary, ThreadPoolExecutor(workers) as pool:
 
-        def unmutated(number: int) -> Outcome:
-            copy_project(copies[number])
-            free.put(copies[number])
-            share = sorted(tests[number::workers])
-            return run_tests(copies[number], share) if share else Outcome("escaped", "", 0.0, "")
+        def run_unmutated(number: int) -> Outcome:
+            folder = Path(temporary, str(number))
+            copy_project(folder)
+            free.put(folder)
+            return run_tests(folder, tests[number::workers] or tests)
 
-        for outcome in pool.map(unmutated, range(workers)):
-            if outcome.verdict != "escaped" or re.search(r"\d (deselected|skipped)", outcome.said):
-                print(f"{outcome.said}\nbefore any mutant: tests fail, are skipped or marked slow")
-                return False
-            print(f"without any mutant: {outcome.said.strip().splitlines()[-1:]}")
-
-        def tried(mutant: Mutant) -> Outcome:
+        def run_mutated(mutant: Mutant) -> Outcome:
             folder = free.get()
             try:
                 return try_mutant(mutant, folder)
             finally:
                 free.put(folder)
 
+        for outcome in pool.map(run_unmutated, range(workers)):
+            if outcome.verdict != "escaped" or re.search(r"\d (deselected|skipped)", outcome.said):
+                print(f"{outcome.said}\nwithout a mutant: tests fail, are skipped or marked slow")
+                return False
         escaped = []
-        for mutant, outcome in zip(mutants, pool.map(tried, mutants), strict=True):
-            caught = outcome.verdict == "caught"
-            by = outcome.by if caught else outcome.verdict.upper()
-            print(f"{mutant.room:20} {mutant.what:70} {by:60} {outcome.seconds:5.1f} s", flush=True)
-            escaped += [] if caught else [mutant]
+        for mutant, outcome in zip(mutants, pool.map(run_mutated, mutants), strict=True):
+            if outcome.verdict != "caught":
+                escaped.append(f"{mutant.file}: {mutant.what}: {outcome.verdict}\n")
+            ended = outcome.by or outcome.verdict.upper()
+            print(
+                f"{mutant.room:18} {mutant.what:72} {ended:70} {outcome.seconds:5.1f} s", flush=True
+            )
     print(f"{len(mutants) - len(escaped)} of {len(mutants)} mutants caught")
-    print("".join(f"not caught: {mutant.file}: {mutant.what}\n" for mutant in escaped), end="")
+    print("".join(escaped), end="")
     return not escaped
 
 
