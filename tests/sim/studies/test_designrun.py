@@ -153,7 +153,8 @@ def test_the_marks_scatter_as_fisher_s_information_of_a_drawn_disc_says(
 ) -> None:
     """A disc as wide as the board's dots, blurred, averaged over pixels, and moved.
 
-    To 3 %: the bound takes its rim for a straight edge, which goes with (blur / radius)² / 4.
+    To 5 %: the bound takes its rim for a straight edge, which costs some 3/8 (blur / radius)², at
+    these 2.8 px 3 %, and drawing it in tenths of a pixel 0.5 %.
     """
     scene = problem_error.of_design(problem_error.scan).calibrate
     noisy = scene.with_tank(sensor={"dark_noise_e": 5e3, "dsnu_e": 0.0, "prnu": 0.0})
@@ -173,7 +174,7 @@ def test_the_marks_scatter_as_fisher_s_information_of_a_drawn_disc_says(
     contrast_dn = 200 * (1 - target.mark_albedo / reflectance_at(target.albedo, 550.0))
     noise_dn = np.hypot(255 * sensor.gain / sensor.full_well_e * 5e3, np.sqrt(1 / 12))
     expected = noise_dn / contrast_dn / np.linalg.norm(slope)
-    assert marks_sigma_px(noisy)[0] == pytest.approx(expected, rel=0.03)
+    assert marks_sigma_px(noisy)[0] == pytest.approx(expected, rel=0.05)
 
 
 def test_what_is_predicted_above_bounds_is_found_so(problem_error: PredictedError) -> None:
