@@ -142,6 +142,24 @@ def test_a_picture_has_the_truth_of_its_own_scene(alone: Path) -> None:
     assert len(own) == 3  # a tank of two, of two, and of one picture
 
 
+def test_a_picture_has_the_truth_of_its_own_place(tmp_path: Path) -> None:
+    """Over a ramp along the track, on which each place has a line of its own."""
+    spec_file(tmp_path)
+    ramp = trimesh.creation.box((400.0, 400.0, 20.0))
+    ramp.apply_transform(trimesh.transformations.rotation_matrix(0.3, (1, 0, 0)))
+    ramp.export(tmp_path / "ramp.stl")
+    target = {"shape": "mesh", "file": "ramp.stl", "position_mm": [0.0, 0.0, -60.0]}
+    write_toml(tmp_path / "scene.toml", merge(merge(BASE, SMALL), {"target": target}))
+    spec = load_dataset_spec(tmp_path / "spec.toml")
+    make_dataset(spec, tmp_path / "set", 1, workers="none")
+    scene, drawn = spec.picture(spec.tank(0)[0], 0)
+    truth, start = (stripe_truth(scene, mm) for mm in (drawn["plan.position_mm"], 0.0))
+    seen = (truth.status == Status.OK) & (start.status == Status.OK)
+    assert np.count_nonzero(truth.centre_px[seen] != start.centre_px[seen]) > 10
+    found = PictureDataset(tmp_path / "set")[0]
+    assert np.array_equal(found.truth["centre_px"][0][seen], truth.centre_px[seen])
+
+
 def test_pictures_do_not_depend_on_how_many_there_are(tmp_path: Path, alone: Path) -> None:
     spec = load_dataset_spec(spec_file(tmp_path))
     make_dataset(spec, tmp_path / "two", 2, workers="none")
