@@ -47,6 +47,7 @@ ELSEWHERE = {
     "lscan-sim concavity": "tests/sim/cli/test_study.py",
     "make ": "Makefile",
     "pytest ": "conftest.py",
+    "python -m tests.mutants": "tests/test_mutants.py",
     "pip install": "tests/system/test_package.py",
 }
 pytestmark = pytest.mark.xdist_group("documentation")
@@ -82,7 +83,7 @@ def test_the_arguments_are_known(page: Path) -> None:
         elif program in APPS:
             parsed(program, arguments)
         else:
-            assert program in ("mkdir", "pip", "pytest"), line
+            assert program in ("mkdir", "pip", "pytest", "python"), line
 
 
 @cache

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.scan import acquire_into, scan
 from lscan.acquisition.writer import create_run, resume_run
 from lscan.config.rig import RigFile
+from lscan.devices.api import Grab
 from lscan.errors import DeviceError, InputError
 from lscan.files import disk
 
@@ -374,6 +376,20 @@ def test_an_old_picture_is_refused(tmp_path: Path) -> None:
     """Going backwards, the fake camera's clock does too."""
     with pytest.raises(DeviceError, match="old picture"):
         fake_scan(tmp_path / "a", fake_rig(step_mm=-0.1))
+    assert len(open_run(tmp_path / "a")) == 1
+
+
+def test_the_picture_before_is_refused_where_it_comes_once_more(tmp_path: Path) -> None:
+    class StuckCamera(FakeCamera):
+        def grab(self, frame: int | None = None, dark: bool = False) -> Grab:
+            return replace(super().grab(frame, dark), time_s=7.0)
+
+    track = FakeTrack()
+    with (
+        create_run(tmp_path / "a", fake_rig()) as writer,
+        pytest.raises(DeviceError, match=r"old picture: its time, 7\.0 s, is not after .* 7\.0 s"),
+    ):
+        acquire_into(writer, StuckCamera(track), track)
     assert len(open_run(tmp_path / "a")) == 1
 
 

@@ -140,6 +140,12 @@ def test_a_row_says_what_is_known_of_the_case():
     assert worst[0].true[1] == pytest.approx(worst[0].found[1] - worst[0].error_px)
 
 
+def test_an_error_of_three_stated_sigmas_is_the_most_that_is_honest():
+    error, every = np.array([[-2.9], [3.1], [2.9], [10.0]]), np.ones(4, dtype=bool)
+    sums = coordinate_sums(every, every, error, np.ones((4, 1)), np.inf, 0.0)
+    assert (sums.valued, sums.honest, sums.outlying) == (4, 2, 0)
+
+
 def test_an_extractor_that_leaves_the_picture_is_refused_with_the_case():
     with pytest.raises(InputError, match=r"off_the_picture.*centre_px in column 10.*, in case-001"):
         judge_case(_named("off_the_picture"), suite_cases.drawn_case(1))

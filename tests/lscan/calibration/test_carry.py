@@ -172,6 +172,14 @@ def test_the_same_statement_moves_nothing(solved: Refractive) -> None:
     assert map_for_rig(solved, silent) is solved
 
 
+def test_a_map_in_other_water_knows_what_may_have_changed(solved: Refractive) -> None:
+    """Whichever is said first, the water or the change."""
+    since, water, pixels = SinceSection(sheet_shift_mm=0.5), (1.338, 0.001), VIEW.project(POINTS)
+    one = solved.with_changes_since(since).in_water(water).to_plane(pixels)
+    other = solved.in_water(water).with_changes_since(since).to_plane(pixels)
+    np.testing.assert_array_equal(one.sigma_mm, other.sigma_mm)
+
+
 @pytest.mark.parametrize("name", ["polynomial-3", "graticule-2", "projective", "spline"])
 def test_maps_without_physics_are_refused(name: str) -> None:
     optics = in_water(20.0, 0.0).optics

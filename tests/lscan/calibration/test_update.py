@@ -98,7 +98,10 @@ def test_a_correction_adds_its_uncertainty() -> None:
     bare = Estimate(PLACES, np.zeros(PLACES.shape), np.zeros((len(PLACES), 2, 0)))
     arm = 1e-3 * (PLACES - [200.0, -200.0])
     expected = np.hypot(arm, [0.3, 0.4])
-    np.testing.assert_allclose(np.sqrt(correction.apply(bare).variance_mm2), expected)
+    corrected = correction.apply(bare)
+    np.testing.assert_allclose(np.sqrt(corrected.variance_mm2), expected)
+    assert corrected.modes_mm is not None  # all points share them: they are modes, and all of it
+    np.testing.assert_allclose(np.linalg.norm(corrected.modes_mm, axis=2), expected)
     without = Estimate(PLACES, np.zeros(PLACES.shape))
     assert correction.apply(without).modes_mm is None
     np.testing.assert_allclose(np.sqrt(correction.apply(without).variance_mm2), expected)

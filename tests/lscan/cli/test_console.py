@@ -130,6 +130,12 @@ def test_a_length_is_printed_in_words() -> None:
     assert "± unknown" in str(Length(60.0, 60.0, float("nan")))
 
 
+def test_a_length_that_is_measured_too_long_has_an_error_above_zero() -> None:
+    long = Length(60.0, 60.3, 0.1)
+    assert long.error_mm == pytest.approx(0.3) == long.as_json()["error_mm"]
+    assert long.percent == pytest.approx(0.5)
+
+
 def test_standard_output_that_takes_nothing_is_one_line() -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(

@@ -190,3 +190,23 @@ def test_an_alignment_found_with_another_calibration_is_remarked_on(
     )
     assert code == 0 and "yaw 1.719 deg" in said
     assert "those of the block scanned with 'tank', with another calibration" in err
+
+
+@pytest.mark.parametrize(
+    ("sections", "said"),
+    [
+        (
+            {"camera": {"driver": "fake", "width_px": 320, "height_px": 240}},
+            "pictures are not of the size of the calibration",
+        ),
+        ({"since_calibration": {"sheet_shift_mm": 0.5}}, "plane map knows nothing of"),
+    ],
+)
+def test_a_run_that_does_not_fit_its_calibration_is_refused(
+    command: Command, tmp_path: Path, sections: dict[str, Any], said: str
+) -> None:
+    """Of pictures of another size, and of a rig that has changed since in what the map ignores."""
+    flat_run(tmp_path / "run", 2, **sections)
+    code, _, error = command("reconstruct", tmp_path / "run", "-o", str(tmp_path / "surface.nc"))
+    assert (code, said in error) == (2, True), error
+    assert not (tmp_path / "surface.nc").exists()

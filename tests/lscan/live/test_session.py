@@ -16,6 +16,7 @@ from live_rig import GatedTrack, SeeingCamera, live_bench, wait_for
 from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
+from lscan.devices.api import LASER_MAY_BE_LIT
 from lscan.errors import DeviceError, DiskError, InputError
 from lscan.live.analysis import MOVED_MM, BestFocus, Figures, measure_line
 from lscan.live.devices import NotNow
@@ -572,6 +573,23 @@ def test_the_laser_is_switched_where_the_track_can_and_off_at_the_end(
         assert session.state()["laser"] == "on"
         session.close()
     assert track.trace == ["laser on", "laser off"]
+
+
+def test_a_laser_that_cannot_be_switched_off_is_said_until_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By a track that answers all else, so that nothing else would say so."""
+    track = LaserTrack()
+    with live_bench(monkeypatch, tmp_path, track) as bench:
+        session = bench.open()
+        session.switch_laser(True)
+        with monkeypatch.context() as stuck:
+            stuck.setattr(track, "laser_off", lambda: FakeTrack(fail_at=0).move_to(0.0))
+            with pytest.raises(DeviceError):
+                session.switch_laser(False)
+        assert session.state()["laser_warning"] == LASER_MAY_BE_LIT
+        session.switch_laser(False)
+        assert (session.state()["laser_warning"], session.state()["laser"]) == ("", "off")
 
 
 def test_a_scan_in_pairs_leaves_the_laser_off(

@@ -19,6 +19,7 @@ from lscan.roughness import (
     ScannerResponse,
     cutoff_per_cm,
     find_ripples,
+    fit_waves,
     noise_density,
     patch_of,
     patch_of_cells,
@@ -85,6 +86,24 @@ def test_ripples_are_found_in_rough_ground(heading_deg: float) -> None:
     assert abs(off) < 1.0
     assert found.height_cm == pytest.approx(np.ptp(0.2 * np.cos(t := np.linspace(0, 7, 999))
                                                    + 0.05 * np.cos(2 * t)), rel=0.03)  # fmt: skip
+
+
+def test_sigma_of_a_train_of_ripples_is_its_scatter() -> None:
+    """Along the heading and across it, in a patch four times as long as it is wide.
+
+    The scatter of 100 fits is known to 1 / sqrt(200) of itself, 4 of which are allowed for.
+    """
+    shape, noise_cm, rng = (96, 24), 0.02, np.random.default_rng(9)
+    crests = wave(shape, CELL_CM, 12.0, 60.0, 0.2)
+    start = 2 * np.pi / 0.8 * np.array([np.sin(np.pi / 3), np.cos(np.pi / 3)])
+    fits = [
+        fit_waves(whole(crests + rng.normal(0, noise_cm, shape), CELL_CM), start, 1)
+        for _ in range(100)
+    ]
+    for name in ("wavelength_cm", "heading_deg"):
+        scatter = np.std([getattr(fit, name) for fit in fits], ddof=1)
+        stated = np.median([getattr(fit, f"sigma_{name}") for fit in fits])
+        assert scatter == pytest.approx(stated, rel=4 / 200**0.5), name
 
 
 def test_rough_ground_alone_has_no_ripples() -> None:

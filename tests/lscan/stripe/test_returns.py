@@ -70,6 +70,15 @@ def test_first_and_last_go_by_place(returns, truth, amplitudes):
     assert not one.ambiguous.any()
 
 
+@pytest.mark.parametrize("returns", ["first", "last"])
+def test_a_piece_half_way_between_two_lines_is_of_neither(returns):
+    gap = np.abs(COLUMN - 100) < 20
+    both, alone = np.where(gap, 0.0, 100.0), np.where(gap, 100.0, 0.0)
+    light = lines(both, both) + drawn((UPPER + LOWER) / 2, 1.2, HEIGHT, alone)
+    _, _, one = chosen(light, returns)
+    np.testing.assert_array_equal(one.ambiguous, gap)
+
+
 @pytest.mark.parametrize("returns", ["brightest", "first", "last"])
 def test_a_weak_reflection_is_never_taken(returns):
     for upper, lower, truth in ((120.0, 25.0, UPPER), (25.0, 120.0, LOWER)):

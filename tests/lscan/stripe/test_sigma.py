@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
+from lines_drawn import drawn
 from scipy.stats import norm
 
-from lscan.config.rig import StripeSection
+from lscan.config.rig import NoiseSection, StripeSection
 from lscan.stripe import picture as noise, rules
 
 HEIGHT, WIDTH = 480, 640
@@ -105,6 +106,25 @@ def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
     # rounding, 1e-14 / 1e-4.
     np.testing.assert_allclose(slope[0], derivative, atol=1e-9)
     assert run(extract, column).sigma_px[0] ** 2 >= noise_only * (1 - 1e-6)
+
+
+@pytest.mark.parametrize("name", ["gaussian", "blais_rioux", "smoothed_peak", "centroid_squared"])
+def test_sigma_is_the_noise_of_every_pixel_that_a_rule_heeds(name):
+    """Column k, of as many as there are rows, has its row k brighter, then darker, by 0.01 DN.
+
+    The line lies in the middle of a pixel, where no rule errs, on a slope that each takes off.
+    To 0.5 %: the rules' derivatives are taken at a fitted line.  Without those by the ground's
+    slope, sigma would be 2 % less.
+    """
+    extract, step, read_dn, size = getattr(rules, name), 0.01, 1.0, 60
+    column = drawn(np.array([30.0]), 1.5, size, 150.0) + 20 + 0.4 * np.arange(size)[:, None]
+    section = StripeSection(threshold_dn=10.0, noise=NoiseSection(read_dn=read_dn))
+    stripe, brighter, darker = (
+        run(extract, column + change * np.eye(size), section) for change in (0.0, step, -step)
+    )
+    derivative = (brighter.centre_px - darker.centre_px) / (2 * step)
+    expected = read_dn * np.linalg.norm(derivative)
+    np.testing.assert_allclose(stripe.sigma_px, expected, rtol=0.005)
 
 
 def test_sigma_of_the_brightest_pixel_is_that_of_rounding():

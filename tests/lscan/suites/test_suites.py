@@ -271,6 +271,17 @@ def test_a_harmed_member_of_a_folder_is_named(folder, data):
         file.write_bytes(whole)
 
 
+def test_truth_that_is_another_and_still_truth_is_refused(folder, tmp_path):
+    """As a program or a person may change a digit: the table can be read all the same."""
+    copy = tmp_path / "changed"
+    shutil.copytree(folder, copy)
+    file = next(copy.glob("*/truth.csv"))
+    text = file.read_text()
+    digit = text.index(".") + 1
+    file.write_text(f"{text[:digit]}{(int(text[digit]) + 1) % 10}{text[digit + 1 :]}")
+    assert f"{file.parent.name}/truth.csv is not what the manifest says" in _refused(copy)
+
+
 def _forged(folder, tmp_path, change):
     """A copy of the suite whose manifest is changed, with a right checksum of its own."""
     copy = tmp_path / "forged"

@@ -62,6 +62,8 @@ def test_a_status_without_a_value_is_the_stripes():
     codes = [Status.OK, Status.NO_PEAK, Status.SATURATED, Status.AT_BORDER, Status.OCCLUDED]
     profile = to_profile(stripe_of(np.full(5, 4.0), codes), HALF_MM, 0.0)
     np.testing.assert_array_equal(profile.points.status, codes)
+    known = np.isfinite(profile.points.xz_mm).all(axis=1)
+    assert known.tolist() == [True, False, True, False, False]  # a clipped line is one all the same
 
 
 def test_where_the_stripe_has_a_value_the_map_may_refuse_it():

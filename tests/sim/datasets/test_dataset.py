@@ -1,5 +1,6 @@
 """Data sets: their truth, the same bytes however they are made, bad specs, and reading them."""
 
+import errno
 import json
 import os
 import shutil
@@ -21,7 +22,7 @@ from truth_scenes import BASE, tank
 from typer.testing import CliRunner
 
 from lscan.config.documents import merge, write_toml
-from lscan.errors import InputError
+from lscan.errors import DiskError, InputError
 from lscan.files.datasets import MEMBERS, MOST_PICTURES, PictureDataset, run_lengths
 from lscan.records import Status
 from sim.cli.app import app
@@ -139,6 +140,24 @@ def test_a_picture_has_the_truth_of_its_own_scene(alone: Path) -> None:
             assert found.scene["rle"][label.name] == run_lengths(found.labels == label)
     own = {found.scene["tank"]["floor"]["z_mm"] for found in map(dataset.__getitem__, range(5))}
     assert len(own) == 3  # a tank of two, of two, and of one picture
+
+
+def test_a_picture_has_the_truth_of_its_own_place(tmp_path: Path) -> None:
+    """Over a ramp along the track, on which each place has a line of its own."""
+    spec_file(tmp_path)
+    ramp = trimesh.creation.box((400.0, 400.0, 20.0))
+    ramp.apply_transform(trimesh.transformations.rotation_matrix(0.3, (1, 0, 0)))
+    ramp.export(tmp_path / "ramp.stl")
+    target = {"shape": "mesh", "file": "ramp.stl", "position_mm": [0.0, 0.0, -60.0]}
+    write_toml(tmp_path / "scene.toml", merge(merge(BASE, SMALL), {"target": target}))
+    spec = load_dataset_spec(tmp_path / "spec.toml")
+    make_dataset(spec, tmp_path / "set", 1, workers="none")
+    scene, drawn = spec.picture(spec.tank(0)[0], 0)
+    truth, start = (stripe_truth(scene, mm) for mm in (drawn["plan.position_mm"], 0.0))
+    seen = (truth.status == Status.OK) & (start.status == Status.OK)
+    assert np.count_nonzero(truth.centre_px[seen] != start.centre_px[seen]) > 10
+    found = PictureDataset(tmp_path / "set")[0]
+    assert np.array_equal(found.truth["centre_px"][0][seen], truth.centre_px[seen])
 
 
 def test_pictures_do_not_depend_on_how_many_there_are(tmp_path: Path, alone: Path) -> None:
@@ -335,6 +354,31 @@ def test_another_mesh_of_the_same_name_is_another_data_set(tmp_path: Path) -> No
     changed = load_dataset_spec(file)
     with pytest.raises(InputError, match=r"differs in its files_sha256\.mesh"):
         make_dataset(changed, tmp_path / "set", 1, workers="none", resume=True)
+
+
+def test_a_shard_whose_bit_flipped_is_made_again(tmp_path: Path, alone: Path) -> None:
+    shutil.copytree(alone, tmp_path / "set")
+    shard = tmp_path / "set" / "shard-000002.tar"
+    data = bytearray(shard.read_bytes())
+    data[len(data) // 2] ^= 1
+    shard.write_bytes(data)
+    made(tmp_path, "set", resume=True)
+    assert content(tmp_path / "set") == content(alone)
+
+
+def test_a_shard_that_the_disk_has_no_room_for_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(to: Path, files: object) -> None:
+        to.write_bytes(b"half of it")
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setitem(datasetshards.WRITERS, "webdataset", full)
+    pictures = dict.fromkeys(MEMBERS, b"one")
+    monkeypatch.setattr(datasetshards, "picture_files", lambda *_: pictures)
+    with pytest.raises(DiskError, match="make room"):
+        made(tmp_path, "set")
+    assert list((tmp_path / "set").glob(".*")) == list((tmp_path / "set").glob("*.tar")) == []
 
 
 def test_a_bit_that_flipped_is_noticed(tmp_path: Path, alone: Path) -> None:

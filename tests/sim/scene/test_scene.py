@@ -194,6 +194,9 @@ def test_poses_are_rigid_and_invert(
     assert np.linalg.det(pose.rotation) == pytest.approx(1)
     points = np.array([[1.0, 2, 3], [x, -x, 0]])
     np.testing.assert_allclose(pose.invert(pose.apply(points)), points, atol=1e-9)
+    inner = camera_pose(Head(camera_mm=(3, 2, 1), depression_deg=20.0, heading_deg=50.0))
+    both = pose.apply(inner.apply(points))
+    np.testing.assert_allclose((pose @ inner).apply(points), both, atol=1e-9)
 
 
 def test_the_board_lies_in_the_sheet() -> None:

@@ -111,6 +111,10 @@ def test_each_fixed_pattern_has_a_stream_of_its_own() -> None:
     assert np.array_equal(plain.sensitivity, hot.sensitivity)
     assert plain.offset_e is not None and hot.offset_e is not None
     assert np.array_equal(plain.offset_e, hot.offset_e)
+    other = fixed_pattern(Sensor(prnu=0.02, dsnu_e=10.0, seed=2), (48, 64))
+    assert other.offset_e is not None  # another camera: what both have in common is chance
+    for own, others in ((plain.sensitivity, other.sensitivity), (plain.offset_e, other.offset_e)):
+        assert abs(np.corrcoef(own.ravel(), others.ravel())[0, 1]) < 4 / own.size**0.5
 
 
 def test_without_noise_nothing_is_random() -> None:

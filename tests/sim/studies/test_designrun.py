@@ -6,9 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import sim.studies.running as running_module
 from lscan.errors import InputError
+from lscan.records import Floats
+from sim.meshes import reflectance_at
 from sim.studies.budget import StudyResults
 from sim.studies.design.error import (
     AboveBounds,
@@ -24,6 +27,7 @@ from sim.studies.rig.evaluation import GeometricRig
 from sim.studies.running import StudyOptions
 from sim.studies.study import run_study
 from sim.studies.studyfile import load_study
+from sim.truth import board_truth
 
 pytestmark = pytest.mark.xdist_group("design_run")  # one worker: they share a fixture
 
@@ -142,6 +146,35 @@ def test_the_marks_scatter_as_a_disc_s_centre_in_white_noise(
     bound = marks_sigma_px(study.calibrate)
     assert bound.shape == (len(bound),) and (bound > 0).all()
     assert bound[-1] / bound[0] == pytest.approx(np.sqrt(2.5))
+
+
+def test_the_marks_scatter_as_fisher_s_information_of_a_drawn_disc_says(
+    problem_error: PredictedError,
+) -> None:
+    """A disc as wide as the board's dots, blurred, averaged over pixels, and moved.
+
+    To 5 %: the bound takes its rim for a straight edge, which costs some 3/8 (blur / radius)², at
+    these 2.8 px 3 %, and drawing it in tenths of a pixel 0.5 %.
+    """
+    scene = problem_error.of_design(problem_error.scan).calibrate
+    noisy = scene.with_tank(sensor={"dark_noise_e": 5e3, "dsnu_e": 0.0, "prnu": 0.0})
+    grid, sensor, target = noisy.board().grid, noisy.tank.sensor, noisy.tank.target
+    dots = board_truth(noisy).centres.grid.image_px.reshape(grid.rows, grid.columns, 2)
+    apart_px = np.nanmedian(np.linalg.norm(np.diff(dots, axis=1), axis=-1))
+    radius_px, fine = apart_px * grid.dot_diameter_mm / grid.pitch_mm / 2, 10
+    half = int(radius_px + 6) * fine
+    y, x = np.mgrid[-half:half, -half:half] + 0.5
+
+    def drawn(moved_px: float) -> Floats:
+        disc = (np.hypot(x - fine * moved_px, y) <= fine * radius_px).astype(float)
+        blurred = gaussian_filter(disc, fine * noisy.tank.lens.blur_px)
+        return blurred.reshape(2 * half // fine, fine, -1, fine).mean(axis=(1, 3))
+
+    slope = (drawn(0.1) - drawn(-0.1)) / 0.2  # takes (0.1 / blur)² / 4 off
+    contrast_dn = 200 * (1 - target.mark_albedo / reflectance_at(target.albedo, 550.0))
+    noise_dn = np.hypot(255 * sensor.gain / sensor.full_well_e * 5e3, np.sqrt(1 / 12))
+    expected = noise_dn / contrast_dn / np.linalg.norm(slope)
+    assert marks_sigma_px(noisy)[0] == pytest.approx(expected, rel=0.05)
 
 
 def test_what_is_predicted_above_bounds_is_found_so(problem_error: PredictedError) -> None:

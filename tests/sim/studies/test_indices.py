@@ -9,7 +9,7 @@ from hypothesis import given, strategies as st
 from SALib.analyze import sobol
 
 from lscan.records import Floats
-from sim.studies.indices import Bounded, Indices, moments, next_base, sobol_indices
+from sim.studies.indices import Bounded, Indices, interval, moments, next_base, sobol_indices
 from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed
 from tests.validation.studies.coverage import ClosedForm, ishigami, sobol_g
 
@@ -167,6 +167,13 @@ def test_causes_in_a_group_are_counted_together() -> None:
     for index in (found.groups["both"].first, found.groups["both"].total):
         assert holds(index, 1 - problem.first["x2"])
     assert holds(found.rest, 0)
+
+
+def test_an_interval_is_that_of_students_t() -> None:
+    """Of 16 values: 2.13145 standard errors of their mean, on either side; a gap does not count."""
+    values = np.append(np.arange(16.0), np.nan)
+    found, error = interval(values), np.sqrt(16 * 17 / 12) / 4
+    assert (found.value, found.half_width) == pytest.approx((7.5, 2.13145 * error), rel=1e-5)
 
 
 def test_moments_add_up(design: Design, values: Floats) -> None:

@@ -108,8 +108,12 @@ def test_who_comes_second_waits_for_the_first(folder: Path) -> None:
     first.start()
     assert begun.wait(60)
     other = threading.Thread(target=lambda: found.append(kept_arrays("one", second)))
-    other.start()
-    go_on.set()
+    shown = ShownWork()
+    with long_work_shown(shown):
+        other.start()
+        while other.is_alive() and not shown.titles:  # until it waits
+            other.join(0.01)
+        go_on.set()
     for thread in (first, other):
         thread.join(60)
     assert second.calls == 0

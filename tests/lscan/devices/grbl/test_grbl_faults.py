@@ -32,6 +32,18 @@ def opened(time: SimulatedTime, emulator: GrblEmulator, homing: bool) -> SerialT
     return open_track(options, DirectLine(emulator, time), time, time.sleep)
 
 
+def test_a_restart_on_the_way_to_where_it_began_is_noticed() -> None:
+    """Quietly: the head rests there, and the controller says zero, which is where it is to be."""
+    time = SimulatedTime()
+    emulator = GrblEmulator(UNHOMED, clock=time)
+    track, began_mm = opened(time, emulator, homing=False), emulator.head_mm[0]
+    track.move_to(-20.0)
+    emulator.inject(Faults(restart=True, quietly=True, begin_s=time() + 1.0))
+    with pytest.raises(DeviceError, match=r"the controller has restarted"):
+        track.move_to(0.0)
+    assert began_mm - emulator.head_mm[0] > 5.0
+
+
 LATE_OK = ("lost ok", 1.0)
 FAULTS = {
     "silent": (Faults(silent=True), r"silent: .*check cable and power"),

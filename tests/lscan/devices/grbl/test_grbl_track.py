@@ -133,6 +133,15 @@ def test_it_stands_where_it_says(stops: list[float], dialect: str) -> None:
         assert abs(b.head_mm - stop_mm) <= STEP_MM / 2 + 0.0005 + 1e-9
 
 
+def test_a_target_that_was_misheard_is_noticed_where_the_head_stands() -> None:
+    """A digit lost on the line: the controller moves there, and is at rest without complaint."""
+    b = bench()
+    write = b.line.write
+    b.line.write = lambda data: write(data.replace(b"X-1", b"X-"))  # type: ignore[method-assign]
+    with pytest.raises(DeviceError, match=r"stands at 119 mm instead of 19 mm, allowed: 0\.02 mm"):
+        b.track.move_to(20.0)
+
+
 @examples(15)
 @given(stops=st.lists(st.floats(0, 180), min_size=1, max_size=4), invert=st.booleans())
 def test_every_stop_is_reached_from_below(stops: list[float], invert: bool) -> None:
