@@ -171,19 +171,6 @@ def test_a_users_mesh_is_a_target(tmp_path: Path) -> None:
     assert names == ["mesh", "floor"]
 
 
-@pytest.mark.parametrize("content", [b"", b"not a mesh", b"ply\nformat ascii 1.0\nend_header\n"])
-def test_a_broken_mesh_is_one_clear_error(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "broken.ply"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"broken\.ply"):
-        load_mesh(path)
-
-
-def test_a_missing_mesh_is_one_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere\.stl"):
-        load_mesh(tmp_path / "nowhere.stl")
-
-
 @pytest.mark.parametrize("path", FILES, ids=[str(path.relative_to(GALLERY)) for path in FILES])
 def test_every_scene_stands(path: Path) -> None:
     """It loads, all its files are there, and its target has the finish it asks for."""
@@ -271,18 +258,6 @@ def test_grey_is_the_luminance_of_a_colour() -> None:
     colours = np.array([[100, 0, 0], [0, 100, 0], [0, 0, 100]], dtype=np.uint8)
     np.testing.assert_allclose(luminance(colours), [21.26, 71.52, 7.22])
     np.testing.assert_array_equal(luminance(grey.reshape(16, 16)), grey.reshape(16, 16))
-
-
-@pytest.mark.parametrize("content", [None, b"", b"not a picture"])
-def test_a_texture_that_cannot_be_read_is_one_clear_error(
-    tmp_path: Path, content: bytes | None
-) -> None:
-    path = tmp_path / "paper.png"
-    if content is not None:
-        path.write_bytes(content)
-    texture = Texture(file=str(path), size_mm=(10.0, 10.0))
-    with pytest.raises(InputError, match=r"paper\.png"):
-        target_parts(with_target("groove", texture=texture))
 
 
 def test_vertex_colours_are_levels_of_a_ramp() -> None:

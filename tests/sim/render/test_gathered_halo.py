@@ -58,11 +58,11 @@ def test_blocks_leave_what_quadrature_says(tank: Tank, paths: HaloPaths) -> None
 
     Of N points spread evenly a disc holds its share to N^(-3/4) at best (J. Beck, Irregularities
     of distribution I, Acta Mathematica 159, 1987), which is taken for what a shadow hides of the
-    PARTS places by which light gets into a ray: the largest of 63 errors is four times that.
+    PARTS places by which light gets into a ray: the largest of the errors is four times that.
     """
     head, scene, chart = pose_of(tank), tank.mitsuba_scene, gathered(tank)._chart
     left = paths.left(scene, head)
-    rows, columns = (np.arange(BLOCK // 2, side, 4 * BLOCK) for side in chart.inner.shape)
+    rows, columns = (np.arange(BLOCK // 2, side, 6 * BLOCK) for side in chart.inner.shape)
     row, column = (place.ravel() for place in np.meshgrid(rows, columns, indexing="ij"))
     eye = head.rotation @ chart.inner.pivot + head.origin_mm
     ways = head.rotation @ chart.between(chart.inner, np.stack([column, row]) - 0.5)

@@ -31,7 +31,6 @@ from sim.render.tank import Tank
 from sim.scene import Laser, Pose
 from sim.scene.matter import AmbientLight, Penumbra
 from sim.water import Optics
-from tests.validation.light.scattering import stock_medium
 
 FEW = examples(15)
 LASER = Laser(
@@ -333,23 +332,6 @@ def arriving(albedo: float, water: Optics) -> tuple[Floats, Floats]:
 
 
 @pytest.mark.slow
-def test_a_closed_box_holds_a_geometric_series_of_light() -> None:
-    """Walls of albedo a send out P a of the laser's power at first, and P a/(1 - a) in all."""
-    albedo = 0.5
-    first, higher = arriving(albedo, DRY)
-    # Rays of the sheet lean against the fan's plane by s / rho, 3e-2 rad: that much squared
-    # of a cosine is its power's uncertainty.
-    for values, expected in (
-        (first, BOXED.power_mw * albedo),
-        (higher, BOXED.power_mw * albedo**2 / (1 - albedo)),
-    ):
-        error = values.std(ddof=1) / np.sqrt(RUNS)
-        assert error < 1e-2 * expected
-        # Student's t of 15 degrees of freedom passes 4.1 once in 1000 tests.
-        assert abs(values.mean() - expected) < 4.1 * error + 1e-3 * expected
-
-
-@pytest.mark.slow
 def test_water_that_only_scatters_loses_no_light() -> None:
     """All light ends in the walls: what arrives there times (1 - albedo) is the laser's power.
 
@@ -370,43 +352,6 @@ def test_water_that_only_scatters_loses_no_light() -> None:
     assert error < 1e-2 * expected
     assert abs(whole.mean() - expected) < 4.1 * error + 1e-3 * expected
     assert higher.mean() > 0.3 * expected, "the higher orders carry much of it"
-
-
-def whole_picture(tank: Tank, water: Optics, seeds: range, samples: int = 64) -> Floats:
-    """(runs, H, W) pictures of all orders."""
-    for integrator in (tank.integrator, tank.higher):
-        integrator.configure(water, tank.sheets, 0.0)
-    camera = tank.make_camera(jitter=True)
-    first = render(tank, camera, tank.integrator, samples, seeds)
-    return first + render(tank, camera, tank.higher, samples, seeds)
-
-
-@pytest.mark.slow
-def test_all_orders_in_turbid_water_equal_stock_volpath() -> None:
-    """A thick sheet over a floor, in water that scatters evenly: two thirds of the light has
-    met more than one place.
-
-    An albedo 2 % less is 6 to 9 % less light, in four strips: with the 0.7 % of the reference and
-    the 1 % of a quarter of the samples, 5 to 7 standard errors, of which one has to be beyond 4.
-    """
-    tank = Tank(floor_scene())
-    water = one_lobe(4e-4, 2.6e-3, 0.0)
-    camera = tank.make_camera(medium=stock_medium(water), jitter=True)
-    stock = {"type": "volpath", "max_depth": -1, "rr_depth": 8}
-
-    def rows(pictures: Floats) -> Floats:
-        """From the veil, strip by strip, down to the floor."""
-        return parts(pictures.swapaxes(1, 2), 4)
-
-    def ours(other: Optics, samples: int = 64) -> Floats:
-        return rows(whole_picture(tank, other, range(RUNS), samples))
-
-    theirs = rows(render(tank, camera, stock, 512, STOCK_SEEDS))
-
-    assert not differ(ours(water), theirs)
-    assert differ(ours(one_lobe(4e-4, 2.6e-3, 0.1)), theirs), "an asymmetry of 0.1 is seen"
-    absorbing = one_lobe(4e-4 + 0.02 * 2.6e-3, 0.98 * 2.6e-3, 0.0)
-    assert differ(ours(absorbing, 16), theirs), "an albedo 2 % less is seen"
 
 
 @pytest.mark.slow

@@ -27,11 +27,7 @@ from sim.render.gathered.line import (
     visible_part,
 )
 from sim.render.gathered.surfaces import (
-    CORNER_MM,
-    EVERY,
-    ROWS,
     Reflections,
-    _row_places,
     lasting,
     visible_share,
 )
@@ -311,25 +307,6 @@ def test_the_corner_that_a_line_runs_into_is_lit_by_the_wall() -> None:
     assert (dark - once).mean() == pytest.approx(twice.mean(), rel=0.2)
 
 
-def test_light_beside_a_line_is_gathered_close_to_corners() -> None:
-    """Of the line over floor and wall, cut where they meet: .25 and .8 mm before the corner, either
-    way, besides the middles of every other segment, in the line's order.  Rays of the sheet, .1 mm
-    apart, say where it is to half of that."""
-    corner = Corner(floor(), wall(0.5), laser=LASER.model_copy(update={"fan_half_angle_deg": 20.0}))
-    segments = np.array(corner.lit.lines[0].segments).reshape(SEGMENTS, 12).astype(float)
-    places = _row_places(segments)
-    assert places.shape == (ROWS, 3)
-    on_wall = places[:, 2] > 1e-3
-    for gone in (100 - places[~on_wall, 0], places[on_wall, 2]):
-        off = np.abs(gone[:, np.newaxis] - CORNER_MM[:2]).min(axis=0)
-        np.testing.assert_allclose(off, 0, atol=0.05)
-    angle = np.arctan2(places[:, 0], 300 - places[:, 2])
-    assert np.all(np.diff(angle) > -1e-6)
-    middle = segments[::EVERY, np.newaxis, :3]
-    middles = np.linalg.norm(middle - places, axis=2).min(axis=1)
-    assert middles.max() < 1e-6
-
-
 def test_a_convex_body_hides_nothing_of_its_own_line() -> None:
     """A ball, lit from above: wherever light of its line falls, the way there is free, though the
     line's chords run through the ball.  Facets hide places less than 0.1 rad above the horizon,
@@ -436,21 +413,6 @@ def test_water_in_shadow_scatters_nothing() -> None:
     integrator = corner.reflections._integrator
     share = visible_share(corner.scene, integrator.sheets[0], integrator.phase, si.p, facing(si))
     assert not np.array(share).any()
-
-
-def test_patches_that_differ_are_kept_apart() -> None:
-    """A patch keeps its own value on its side; on the other it has that of its neighbours there, or
-    its own where none is near: never a mean of both sides."""
-    bounces = Corner(floor(), wall()).reflections._bounces
-    assert bounces is not None
-    x, _, _ = np.array(bounces.point)
-    here = x < 20
-    inside, outside = bounces.apart(np.where(here, 5.0, 2.0), here)
-    np.testing.assert_array_equal(inside[here], 5.0)
-    np.testing.assert_array_equal(outside[~here], 2.0)
-    for found, other, own in ((inside, ~here, 5.0), (outside, here, 2.0)):
-        assert set(found[other].round(9)) <= {5.0, 2.0}
-        assert np.any(np.isclose(found[other], own))
 
 
 def test_light_that_turns_by_little_is_not_lost() -> None:

@@ -137,21 +137,6 @@ def test_the_sheet_spreads_as_a_gaussian_beam() -> None:
     assert float(poor.rayleigh[0]) == pytest.approx(201, abs=0.25), "M2 divides the length"
 
 
-def test_the_sheet_is_its_thin_limit_across() -> None:
-    """The power across a strip of the fan is P f(phi) / rho.
-
-    docs/explanation/physics.md, section 7.
-
-    The scale of the irradiance by an integral that Mitsuba has no part in.
-    """
-    laser = Laser(power_mw=1, apex_mm=(0, 0, 0), fan_half_angle_deg=30, waist_mm=2)
-    (sheet,) = sheets_of(laser)
-    s = np.linspace(-12, 12, 2001)
-    points = np.column_stack([np.zeros_like(s), s, np.full_like(s, -400.0)])
-    across = irradiance(sheet, points).sum() * (s[1] - s[0])
-    assert across == pytest.approx(1 / (2 * np.radians(30)) / 400, rel=1e-5)
-
-
 @FEW
 @given(tilt=st.floats(-30, 30), index=st.floats(1.30, 1.36))
 def test_the_bow_is_snells(tilt: float, index: float) -> None:

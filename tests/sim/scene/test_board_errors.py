@@ -142,10 +142,8 @@ def test_a_scaled_print_is_a_board_whose_file_is_scaled(ppm: float) -> None:
     np.testing.assert_allclose(seen_px(printed), seen_px(made), rtol=0, atol=1e-9)
 
 
-@examples(20)
-@given(seed=st.integers(0, 2**31 - 1), at=st.floats(-20, 20))
-def test_no_errors_change_nothing(seed: int, at: float) -> None:
-    plain, same = board(at=(0.0, at, 0.0)), board(at=(0.0, at, 0.0), seed=seed)
+def test_no_errors_change_nothing() -> None:
+    plain, same = board(at=(0.0, 7.0, 0.0)), board(at=(0.0, 7.0, 0.0), seed=3)
     assert seen_px(plain).tobytes() == seen_px(same).tobytes()
     for one, other in zip(scene_parts(plain), scene_parts(same), strict=True):
         assert one.mesh.vertices.tobytes() == other.mesh.vertices.tobytes()

@@ -36,7 +36,7 @@ from sim.truth import project, stripe_truth
 
 CAMERA = {"width_px": 64, "height_px": 48}
 LENS = {"focal_px": 85.0, "centre_px": [31.3, 23.8], "k1": -0.1, "p1": 0.002}
-ROWS, PHASES = 64, 97
+ROWS = 64
 
 
 def line_layers(sigma_px: float, centre_px: Floats, fineness: int) -> Layers:
@@ -208,8 +208,7 @@ def test_parts_of_a_pixel_see_what_the_pixel_sees(fineness: int) -> None:
     np.testing.assert_allclose(project(fine, points), expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("fineness", [2, 3])
-@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize(("fineness", "moving"), [(3, False), (2, True)])
 def test_the_tank_s_light_is_the_same_in_parts(fineness: int, moving: bool, tmp_path: Path) -> None:
     """The parts' regular grids make up the pixel's: the means are equal, sample by sample.
 
@@ -322,11 +321,8 @@ def test_labels_are_of_whole_pixels() -> None:
     ("render", "message"),
     [
         ({"fineness": 2, "samples": 9}, r"render.*square of fineness 2 \(4, 16, 36"),
-        ({"fineness": 2, "samples": 8}, r"render.*square of fineness 2"),
         ({"fineness": 3, "samples": 4}, r"render.*square of fineness 3 \(9, 36, 81"),
-        ({"fineness": 0}, r"render\.fineness.*0"),
         ({"fineness": 4, "samples": 16}, r"render\.fineness.*4"),
-        ({"fineness": 1.5}, r"render\.fineness"),
     ],
 )
 def test_samples_that_cannot_be_shared_out_are_refused(

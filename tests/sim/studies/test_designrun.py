@@ -17,10 +17,9 @@ from sim.studies.design.error import (
     marks_sigma_px,
     predicted,
 )
-from sim.studies.design.run import DESIGNS, design_problem
+from sim.studies.design.run import DESIGNS
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig
-from sim.studies.run.executor import in_order, open_workers
 from sim.studies.run.running import StudyOptions
 from sim.studies.study import run_study
 from sim.studies.studyfile import load_study
@@ -113,14 +112,6 @@ def test_more_runs_than_agreed_to_are_refused_before_any(file: Path, tmp_path: P
     assert not (tmp_path / "out").exists()
 
 
-def test_parts_of_no_catalogue_are_refused_by_name(file: Path) -> None:
-    study = load_study(file)
-    assert study.file.design is not None
-    section = study.file.design.model_copy(update={"tracks": ("rail-*",)})
-    with pytest.raises(InputError, match=r"design\.tracks: is no part's name"):
-        design_problem(study, section)
-
-
 def test_the_board_is_exposed_as_well_as_the_study_s(problem_error: PredictedError) -> None:
     """Half the f-number gathers four times the light; a pixel of twice the side as well."""
     scan, own = problem_error.scan, 20.0
@@ -151,10 +142,3 @@ def test_what_is_predicted_above_bounds_is_found_so(problem_error: PredictedErro
     found = above_bounds(study, predicted(study, stated))
     for name, value in vars(stated).items():
         assert getattr(found, name) == pytest.approx(value, rel=1e-9), name
-
-
-@pytest.mark.slow
-def test_workers_give_things_in_their_order() -> None:
-    with open_workers(2) as workers:
-        found = list(in_order(workers, abs, [-3, 2, -1], lambda status: len(status)))
-    assert found == [3, 2, 1]

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from sim.render.layers import Layers
-from tests.validation.surfaces.harbor import HALO_PX, REST_PX, SPECK, added, steady
+from tests.validation.surfaces.harbor import HALO_PX, REST_PX, SPECK, steady
 
 SHAPE = (60, 80)
 VEIL = 0.02
@@ -31,14 +31,6 @@ def noisy(light: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     return (light * specks * generator.gamma(4.0, 0.25, SHAPE)).astype(np.float32)
 
 
-def test_light_without_noise_stays_as_it_is() -> None:
-    direct = line_light()
-    layers = Layers(direct, halo_of(direct), np.zeros(SHAPE, np.float32))
-    given = steady(layers)
-    np.testing.assert_allclose(given.scattered, layers.scattered, rtol=1e-3)
-    assert given.direct is layers.direct and given.ambient is layers.ambient
-
-
 def test_noise_of_half_the_light_is_nearly_gone() -> None:
     """Nine unknowns from 4800 pixels, each off by half, and the mean of 4 pi REST_PX² of them:
     0.5 (9 / 4800 + 1 / (4 pi 36))^(1/2) = 0.03, and twice that is allowed.  A hundredth of the
@@ -52,9 +44,3 @@ def test_noise_of_half_the_light_is_nearly_gone() -> None:
     assert (found / light).std() < 2 * expected
     assert abs((found / light).mean() - 1) < 0.01 * SPECK + expected
     assert (drawn / light).std() > 0.5
-
-
-def test_light_adds_up_by_shares() -> None:
-    one, two = (Layers(*(np.full(SHAPE, k + n) for n in range(3))) for k in (1.0, 10.0))
-    both = added([one, two], (0.7, 0.3))
-    np.testing.assert_allclose([both.direct[0, 0], both.ambient[0, 0]], [3.7, 5.7])

@@ -108,46 +108,6 @@ def gauss_mean(ends: np.ndarray, power: int) -> np.ndarray:
     return sum(p**power for p in points) / 2
 
 
-def wave_mesh(shape: Sandwave, pose: Pose, step: float) -> trimesh.Trimesh:
-    """Eq. (4) over its square as a grid of triangles."""
-    axis = np.linspace(0, shape.side_mm, round(shape.side_mm / step) + 1)
-    x, y = np.meshgrid(axis, axis, indexing="ij")
-    vertices = np.stack([x, y, shape.height_mm(x, y)], axis=-1).reshape(-1, 3)
-    n = len(axis)
-    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    faces = np.vstack(
-        [
-            np.column_stack([corner, corner + n, corner + n + 1]),
-            np.column_stack([corner, corner + n + 1, corner + 1]),
-        ]
-    )
-    return trimesh.Trimesh(pose.apply(vertices), faces, process=False)
-
-
-@examples(6)
-@given(pose=POSE, yaw=TILT, along=st.floats(5, 145))
-def test_the_wave_is_cut_as_trimesh_cuts_its_mesh(pose, yaw, along):
-    shape, step = Sandwave(), 0.5
-    middle = pose.apply(np.array([[75.0, along, 0.0]]))[0]
-    sheet = Pose(rotation("Z", yaw), middle)
-    ours = Wave(shape, pose).cut(sheet)
-    theirs = Mesh(wave_mesh(shape, pose, step)).cut(sheet)
-    # A linear triangle of legs h misses by at most h2/8 (|zxx| + 2 |zxy| + |zyy|); the
-    # section of a tilted block moves by that over the cosine of tilt less slope times sine.
-    amplitude, k, m = 8.0, shape.c_per_mm, shape.d_rad * shape.e_per_mm
-    second = amplitude * (k + m) ** 2 + 2 * shape.b * (k + m) + amplitude * m * shape.e_per_mm
-    bound = step**2 / 8 * second / (np.cos(0.2) - 1.6 * np.sin(0.2))
-    ours = ours[np.argsort(ours[:, 0, 0])]
-    x, z = np.vstack([ours[:, 0], ours[-1:, 1]]).T
-    corners = theirs.reshape(-1, 2)
-    common = (corners[:, 0] > x.min()) & (corners[:, 0] < x.max())
-    assert np.abs(np.interp(corners[common, 0], x, z) - corners[common, 1]).max() < bound
-    # The tilt leaves the ends of the section, on the square's border, as exact as that.
-    assert [x.min(), x.max()] == pytest.approx(
-        [corners[:, 0].min(), corners[:, 0].max()], abs=bound
-    )
-
-
 @MANY
 @given(pose=POSE, sheet=SHEET)
 def test_the_section_of_the_wave_lies_on_it_and_in_the_sheet(pose, sheet):
