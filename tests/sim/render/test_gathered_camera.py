@@ -218,19 +218,3 @@ def test_tilts_are_tangents_along_the_picture(chart: Chart) -> None:
     tilt = chart.tilt(np.array(normals, np.float32), ways)
     expected = [[np.tan(0.5), 0], [0, -np.tan(0.3)], [0, 0]]
     np.testing.assert_allclose(tilt, expected, atol=1e-6)
-
-
-def test_points_bring_their_own_normals_and_distances_into_cells(chart: Chart) -> None:
-    """What is summed over cells is the points', wherever between cells they lie."""
-    grid = chart.inner
-    ways = grid.directions[:, [3000, 3001, 9000]] + 1e-4
-    ways /= np.linalg.norm(ways, axis=0)
-    far, power = np.array([700.0, 900.0, 1100.0]), np.array([1.0, 2.0, 3.0])
-    points = grid.pivot[:, np.newaxis] + ways * far
-    normals = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.0, -1.0]]).T
-    cells = _splat(grid, chart, points, normals, power)
-    assert cells.power.sum() == pytest.approx(power.sum(), rel=1e-5)
-    assert cells.depth.sum() == pytest.approx((power * np.log(far - chart.near_mm)).sum(), rel=1e-5)
-    np.testing.assert_allclose(cells.tilt.sum(axis=(0, 1)), normals @ power, rtol=1e-5)
-    alone = cells.power.ravel() * (np.arange(cells.power.size) > 6000)
-    np.testing.assert_allclose(cells.tilt[..., 2].ravel()[alone > 0], -alone[alone > 0], rtol=1e-5)

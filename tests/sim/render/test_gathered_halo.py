@@ -154,16 +154,3 @@ def test_what_is_left_is_interpolated_along_the_track(tank: Tank, paths: HaloPat
         np.testing.assert_allclose(found, 0.75 * here + 0.25 * there, rtol=1e-5)
     own = paths.left(tank.mitsuba_scene, pose_of(tank, 13 * LEFT_APART_MM))
     np.testing.assert_array_equal(known[0][0], own)
-
-
-def test_what_is_left_is_of_the_wide_halo(tank: Tank, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A picture's halo is in proportion to it, far from the line; all else stays."""
-    before = tank.higher_orders(POSITION_MM)
-    light = gathered(tank)
-    halo, *veil = light._left(POSITION_MM)
-    monkeypatch.setattr(light, "_left", lambda _: [halo / 2, *veil])
-    after = tank.higher_orders(POSITION_MM)
-    for name in ("surfaces", "veil"):
-        np.testing.assert_array_equal(after[name], before[name])
-    share = after["camera"] / before["camera"]
-    assert 0.5 - 1e-3 < share.min() < 0.6 and share.max() < 1

@@ -38,7 +38,6 @@ RIG: dict[str, Any] = {
     },
 }  # fmt: skip
 EVEN = one_lobe(1e-3, 1e-5, 0.0)  # light of the third order is 1 % of the second's or less
-EVERYWHERE = 1 / (4 * np.pi)
 PHOTONS = 2**18
 OPEN = np.full((HEIGHT, WIDTH), np.inf, np.float32)
 
@@ -68,55 +67,6 @@ def sheet_of(power_mw: float) -> LaserSheet:
 def inner(rays: HeadRays, values: Floats) -> Floats:
     """(H, W, ...) of the picture's own rays, from those with the margin."""
     return np.reshape(values, (HEIGHT + 2, WIDTH + 2, -1))[1:-1, 1:-1].astype(float)
-
-
-def second_order(origin: Floats, way: Floats, end: float, lowest: float) -> float:
-    """Radiance of light that EVEN water scatters exactly twice above z = lowest, per mW, by
-    quadrature: for each place of the ray, in polar coordinates about its foot on the sheet."""
-    laser, scattered = Laser(**RIG["laser"]), EVEN.scattering_per_mm * EVERYWHERE
-    node, share = np.polynomial.legendre.leggauss(48)
-    crossing, apex = -origin[1] / way[1], laser.apex_mm[2]
-    total = 0.0
-    for limit in (0.0, end):
-        length = abs(limit - crossing)
-        s = (node + 1) / 2  # where the light's logarithm is infinite, at the crossing, steps are 0
-        t = crossing + np.sign(limit - crossing) * length * s**3
-        weight = share / 2 * 3 * s**2 * length * np.exp(-EVEN.extinction_per_mm * t)
-        weight[t > end] = 0
-        x, y, z = (origin[:, np.newaxis] + way[:, np.newaxis] * t)[..., np.newaxis, np.newaxis]
-        height = np.abs(y)
-        far = np.arcsinh(3000 / height)
-        v = (np.arange(240) + 0.5)[:, np.newaxis] / 240 * far
-        angle = (np.arange(180) + 0.5) / 180 * 2 * np.pi
-        radius, distance = height * np.sinh(v), height * np.cosh(v)
-        across, up = x + radius * np.cos(angle), z + radius * np.sin(angle)
-        rho = np.hypot(across, apex - up)
-        inside = np.abs(np.arctan2(across, apex - up)) <= np.radians(laser.fan_half_angle_deg)
-        inside &= up > lowest
-        density = inside / (2 * np.radians(laser.fan_half_angle_deg)) / rho
-        light = density * np.exp(-EVEN.extinction_per_mm * (rho + distance)) * np.tanh(v)
-        area = far[..., 0, 0] / 240 * 2 * np.pi / 180
-        total += float(np.sum(weight * area * light.sum(axis=(1, 2))))
-    return scattered**2 * total
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("lowest", "within"), [(-np.inf, 0.02), (-60.0, 0.045)])
-def test_thin_water_scatters_twice(rays: HeadRays, lowest: float, within: float) -> None:
-    """In thin water that scatters evenly the veil is the second order's, of open water and above
-    a plane: to three standard deviations over seeds, of the mean over nine places."""
-    origin, way = (inner(rays, np.array(v).T) for v in (rays.origin, rays.direction))
-    weight = inner(rays, np.array(rays.weight))[..., 0]
-    distance = np.where(np.isinf(lowest), np.inf, (lowest - origin[..., 2]) / way[..., 2])
-    veil = HigherVeil(EVEN, [sheet_of(1.0)], rays, photons=16 * PHOTONS)
-    found = veil.picture(distance.astype(np.float32))
-    places = [(row, column) for row in (7, 22, 37) for column in (10, 31, 52)]
-    expected = [
-        weight[at] * second_order(origin[at], way[at], min(distance[at], 3000.0), lowest)
-        for at in places
-    ]
-    ratio = np.array([found[at] for at in places]) / expected
-    assert ratio.mean() == pytest.approx(1, abs=within)
 
 
 def test_veil_needs_water(rays: HeadRays) -> None:

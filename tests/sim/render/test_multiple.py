@@ -324,14 +324,13 @@ def arriving(albedo: float, water: Optics) -> tuple[Floats, Floats]:
         np.pi * area * radiance(scene, one, *rays).reshape(RUNS, -1).mean(axis=1)
         for one, rays in zip(
             both(water, [sheet], 0.0),
-            (wall_rays(RUNS * 2**18, seed=17), wall_rays(RUNS * 2**14, seed=18)),
+            (wall_rays(RUNS * 2**15, seed=17), wall_rays(RUNS * 2**12, seed=18)),
             strict=True,
         )
     )
     return first, higher
 
 
-@pytest.mark.slow
 def test_water_that_only_scatters_loses_no_light() -> None:
     """All light ends in the walls: what arrives there times (1 - albedo) is the laser's power.
 
@@ -349,7 +348,7 @@ def test_water_that_only_scatters_loses_no_light() -> None:
     whole = straight + first + higher
     error = whole.std(ddof=1) / np.sqrt(RUNS)
     expected = BOXED.power_mw / (1 - albedo)
-    assert error < 1e-2 * expected
+    assert error < 3e-2 * expected
     assert abs(whole.mean() - expected) < 4.1 * error + 1e-3 * expected
     assert higher.mean() > 0.3 * expected, "the higher orders carry much of it"
 
@@ -364,7 +363,7 @@ def test_several_lines_add_up() -> None:
 
     def picture(sheets: list[Any], seeds: range) -> Floats:
         tank.higher.configure(water, sheets, 0.0)
-        return render(tank, camera, tank.higher, 32, seeds)
+        return render(tank, camera, tank.higher, 8, seeds)
 
     together = picture(tank.sheets, range(8))
     singles = [picture([one], range(50 * k, 50 * k + 8)) for k, one in enumerate(tank.sheets, 1)]

@@ -26,12 +26,10 @@ from truth_scenes import tank
 from lscan.errors import InputError
 from lscan.records import Floats, Status
 from sim.datasets.labels import label_scene, line_sigma_px
-from sim.render.layers import Layers, binned, fineness_of, finer_lens
+from sim.render.layers import Layers, fineness_of, finer_lens
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.sensor import Webcam
-from sim.sensor.radiometry import photons_per_radiance, vignetting
-from sim.sensor.webcam import point_spread
 from sim.truth import project, stripe_truth
 
 CAMERA = {"width_px": 64, "height_px": 48}
@@ -157,22 +155,6 @@ def test_light_even_over_pixels_makes_the_same_bytes_without_blur(noise: bool) -
         for stack in (pixels, parts)
     )
     np.testing.assert_array_equal(coarse, fine)
-
-
-def test_one_part_a_pixel_is_the_picture_as_it_was() -> None:
-    """With fineness 1 neither the lens, the light nor the blur differs by a bit."""
-    optics = {"glare": 0.1, "blur_px": 0.7, "vignetting": 4.0, "centre_px": (19.123, 14.987)}
-    scene = sensor_scene((40, 30), optics)
-    lens, sensor = scene.tank.lens, scene.tank.sensor
-    assert finer_lens(lens, 1) == lens
-    light = np.random.default_rng(2).uniform(0, 1, (30, 40)).astype(np.float32)
-    assert binned(light, 1) is light
-    nm = scene.tank.laser.wavelength_nm
-    factor = np.float32(photons_per_radiance(lens, sensor, EXPOSURE_MS, nm))
-    photons = point_spread(light * (factor * vignetting(lens, (40, 30))), lens)
-    seen = Webcam(scene).mean_electrons(Layers(light, 0 * light, 0 * light), EXPOSURE_MS)
-    expected = photons * np.float32(sensor.laser_response.red)
-    np.testing.assert_array_equal(seen[..., 0], expected)
 
 
 def test_layers_of_another_size_are_refused() -> None:

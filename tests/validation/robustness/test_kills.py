@@ -3,12 +3,9 @@
 from pathlib import Path
 
 import pytest
-from places import SCENES
 
 from tests.validation.robustness import acquisition as kills
 from tests.validation.robustness.acquisition import folder_bytes, kill_runs
-
-SCENE = SCENES / "paper" / "sandwave.toml"
 
 
 @pytest.mark.slow
