@@ -45,7 +45,7 @@ def test_the_json_file_holds_every_row(tmp_path: Path) -> None:
     write_rows(tmp_path / "deep" / "verify.json", rows)
     read = json.loads((tmp_path / "deep" / "verify.json").read_text())
     assert [entry["passed"] for entry in read] == [True, False, False]
-    keys = {
+    keys = [
         "what",
         "reference",
         "figure",
@@ -55,8 +55,8 @@ def test_the_json_file_holds_every_row(tmp_path: Path) -> None:
         "seed",
         "quick",
         "passed",
-    }
-    assert all(set(entry) == keys for entry in read)
+    ]
+    assert all(set(entry) == set(keys) for entry in read)
     assert [entry["figure"] for entry in read] == [0.5, 2.0, None]
 
 

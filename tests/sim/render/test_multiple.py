@@ -31,6 +31,7 @@ from sim.render.tank import Tank
 from sim.scene import Laser, Pose
 from sim.scene.matter import AmbientLight, Penumbra
 from sim.water import Optics
+from tests.validation.light.scattering import stock_medium
 
 FEW = examples(15)
 LASER = Laser(
@@ -351,6 +352,28 @@ def test_water_that_only_scatters_loses_no_light() -> None:
     assert error < 3e-2 * expected
     assert abs(whole.mean() - expected) < 4.1 * error + 1e-3 * expected
     assert higher.mean() > 0.3 * expected, "the higher orders carry much of it"
+
+
+@pytest.mark.slow
+def test_all_orders_in_turbid_water_equal_stock_volpath() -> None:
+    """A thick sheet over a floor, in water that scatters evenly: two thirds of the light has
+    met more than one place.  In four strips, from the veil down to the floor."""
+    tank = Tank(floor_scene())
+    water = one_lobe(4e-4, 2.6e-3, 0.0)
+    stock = {"type": "volpath", "max_depth": -1, "rr_depth": 8}
+
+    def ours(other: Optics) -> Floats:
+        for integrator in (tank.integrator, tank.higher):
+            integrator.configure(other, tank.sheets, 0.0)
+        camera = tank.make_camera(jitter=True)
+        first = render(tank, camera, tank.integrator, 64, range(RUNS))
+        whole = first + render(tank, camera, tank.higher, 64, range(RUNS))
+        return parts(whole.swapaxes(1, 2), 4)
+
+    camera = tank.make_camera(medium=stock_medium(water), jitter=True)
+    theirs = parts(render(tank, camera, stock, 512, STOCK_SEEDS).swapaxes(1, 2), 4)
+    assert not differ(ours(water), theirs)
+    assert differ(ours(one_lobe(4e-4, 2.6e-3, 0.1)), theirs), "an asymmetry of 0.1 is seen"
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_examples import examples
 from hypothesis import given, strategies as st
 from places import SCENES
 from truth_scenes import tank
@@ -120,26 +119,6 @@ def test_a_bent_board_s_parts_fit(errors: dict[str, float]) -> None:
     steep = 4 * max(abs(bend) for bend in errors.values()) / HEIGHT
     assert marks.area == pytest.approx(flat.area, rel=steep**2 if len(errors) > 1 else 1e-6)
     assert np.all(plate.face_normals[:, 1] < 0)
-
-
-@examples(20)
-@given(ppm=scales)
-def test_a_scaled_print_is_a_board_whose_file_is_scaled(ppm: float) -> None:
-    """Seen the same, where the larger board is moved so that the middles meet."""
-    scale = 1 + 1e-6 * ppm
-
-    def larger(value: Any, key: str = "") -> Any:
-        if isinstance(value, dict):
-            return {name: larger(inner, name) for name, inner in value.items()}
-        if isinstance(value, list):
-            return [larger(inner) for inner in value]
-        return scale * value if key.endswith("_mm") else value
-
-    scaled = larger(BOARD.model_dump(mode="json"))
-    shift = (1 - scale) * MIDDLE
-    printed = board(scale_x_ppm=ppm, scale_z_ppm=ppm)
-    made = board(scaled, at=(shift[0], 0.0, shift[1]))
-    np.testing.assert_allclose(seen_px(printed), seen_px(made), rtol=0, atol=1e-9)
 
 
 def test_no_errors_change_nothing() -> None:

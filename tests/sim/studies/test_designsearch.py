@@ -38,7 +38,7 @@ SECTION = {
         "head.depression_deg": [15, 30, 45],
     },
     "limits": {"cost_eur": {"at_most": 500}, "laser_class": {"at_most": "3R"}},
-    "trials": 30,
+    "trials": 20,
     "population": 10,
     "expose": False,
 }
@@ -84,7 +84,7 @@ def backwards(judge: Judge, of: Sequence[Parameters]) -> Iterable[Judged]:
 def test_the_seed_gives_the_trials_whoever_runs_them(
     problem: DesignProblem, trials: list[RigTrial]
 ) -> None:
-    assert len(trials) == 30
+    assert len(trials) == 20
     assert search(problem, run=backwards) == trials
     other = replace(problem, section=problem.section.model_copy(update={"seed": 2}))
     assert search(other) != trials
@@ -131,7 +131,7 @@ def test_a_failing_design_is_a_row_with_its_reason(problem: DesignProblem) -> No
     failed = [trial for trial in trials if trial.figures is None]
     assert failed and {trial.reason for trial in failed} == {"the board is not in the picture"}
     assert {trial.parameters["head.depression_deg"] for trial in failed} == {45.0}
-    assert len(trials) == 30 and front_of(problem, trials)
+    assert len(trials) == 20 and front_of(problem, trials)
 
 
 def test_the_front_keeps_the_limits_and_is_found(

@@ -189,6 +189,7 @@ def test_a_slight_bow_is_next_to_none(make, s):
     assert np.abs(a.centre_px - b.centre_px)[shown].max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_bowed_sheet_cuts_a_mesh_as_it_cuts_the_shape(tmp_path):
     laser = {"tilt_deg": 3.0, "port_tilt_deg": 8.0}
     path = tmp_path / "block.obj"

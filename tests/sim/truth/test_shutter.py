@@ -7,8 +7,8 @@ import pytest
 from truth_scenes import tank
 
 from lscan.records import Status
-from sim.scene import Scene, head_pose, target_pose
-from sim.truth import StripeTruth, project, stripe_truth
+from sim.scene import Scene
+from sim.truth import StripeTruth, stripe_truth
 from sim.truth.section import surfaces_of
 from sim.truth.stripe import row_positions_mm, standing_truth
 
@@ -71,22 +71,6 @@ def test_a_column_shows_the_line_of_its_row_s_time():
         assert there.xz_mm[column] == pytest.approx(truth.xz_mm[column], abs=1e-3)
 
 
-def test_points_lie_on_the_target_at_their_time():
-    scene = wave(60.0, 30.0)
-    truth = stripe_truth(scene, 0.0)
-    good = (truth.status == Status.OK) & (truth.edge_px > 3) & (truth.face == 0)
-    xz = truth.xz_mm[good]
-    head = np.column_stack([xz[:, 0], truth.y_mm[good], xz[:, 1]])
-    place = row_positions_mm(scene, 0.0, truth.centre_px[good])
-    world = head_pose(scene.tank.head, 0.0).apply(head) + np.outer(place, [0, 1.0, 0])
-    x, y, z = target_pose(scene).invert(world).T
-    # The chord's sag, 2e-4 mm, and that of steps of 0.04 mm: squared / 8 times 0.6 /mm.
-    bound = 2 * 0.05**2 / 8 * 0.6 + 0.04**2 / 8 * 0.6
-    assert np.abs(z - scene.rig.workpiece.height_mm(x, y)).max() < bound
-    pixels = project(scene, head)
-    assert np.abs(pixels[:, 1] - truth.centre_px[good]).max() < 1e-4
-
-
 def test_a_slope_is_sheared_as_on_paper():
     # On a plane v is smooth in the position: to first order in the travel the line moves by
     # dv/ds (v/H - 1/2) T, divided by 1 - dv/ds T/H for the row itself moves.
@@ -110,6 +94,6 @@ def test_each_row_has_the_time_of_its_own_exposure():
     truth = stripe_truth(scene, 0.0)
     good = np.flatnonzero((truth.status == Status.OK) & (truth.edge_px > 3))
     assert len(good) > 100
-    for row in good[::100]:
+    for row in good[::200]:
         there = standing(scene, float(row_positions_mm(scene, 0.0, np.array(float(row)))))
         assert truth.centre_px[row] == pytest.approx(there.centre_px[row], abs=1e-4)

@@ -23,6 +23,7 @@ def beyond(check: Topic) -> list[str]:
     return [row.what for row in check.rows if not row.passed]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["flat", "dome"])
 def test_a_glass_a_thousandth_off_breaks_the_ports(
     kind: str, monkeypatch: pytest.MonkeyPatch
@@ -38,6 +39,7 @@ def test_a_glass_a_thousandth_off_breaks_the_ports(
     assert found.error_px.max() > 0.005
 
 
+@pytest.mark.slow
 def test_a_camera_a_hundredth_pixel_off_breaks_the_projection(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

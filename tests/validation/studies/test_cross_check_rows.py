@@ -18,6 +18,7 @@ from tests.validation.studies.twelve import assumed
 STUDY = looked_at(load_study(SCENES / "studies" / "cross-check.toml"), Looked(pictures=2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cause", list(STAYS)[:1])
 def test_a_picture_is_off_by_its_draw_as_by_the_same_number_in_all(cause: str) -> None:
     known = assumed(STUDY)

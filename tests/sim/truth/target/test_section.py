@@ -71,19 +71,6 @@ def test_a_hole_and_what_is_wound_twice_are_outside():
     assert shapely.contains_xy(star, [[0.0, 0.0], [0.8, 0.0]]).tolist() == [False, True]
 
 
-def test_the_turned_block_is_wider_by_the_cosine():
-    block = GroovedBlock()
-    pose = Pose(rotation("Z", 10.0), np.array([10.0, 5.0, -300.0]))
-    section = section_at(grooved_block_surfaces(block, pose), head_pose(tank().tank.head, 0.0))
-    wide = 1 / np.cos(np.radians(10.0))
-    top = section.ends_mm[np.all(section.ends_mm[..., 1] == -300.0 + block.height_mm, axis=1)]
-    ridges = [g.ridge_mm for g in block.grooves] + [block.last_ridge_mm]
-    assert np.sort(lengths(top)) == pytest.approx(np.sort(ridges) * wide, abs=1e-10)
-    upright = section.ends_mm[np.ptp(section.ends_mm[..., 0], axis=1) < 1e-9]
-    deep = [g.depth_mm for g in block.grooves for _ in (0, 1)] + [block.height_mm] * 2
-    assert np.sort(lengths(upright)) == pytest.approx(np.sort(deep), abs=1e-10)
-
-
 @MANY
 @given(pose=POSE, sheet=SHEET)
 def test_the_block_is_cut_as_trimesh_cuts_it(pose, sheet):
