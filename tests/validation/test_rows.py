@@ -7,14 +7,7 @@ import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 
-from tests.validation.rows import (
-    Row,
-    RowFile,
-    Topic,
-    measured_rows,
-    rows_of,
-    write_rows,
-)
+from tests.validation.rows import Row, RowFile, Topic, measured_rows, rows_of, write_rows
 
 
 def row(figure: float, bar: float = 1.0, **changes: object) -> Row:

@@ -21,13 +21,7 @@ from lscan.errors import InputError
 from lscan.records import Status
 from sim.cli.app import app
 from sim.datasets.files import TruthTable, taken_at, taken_in, write_render, write_truth
-from sim.datasets.labels import (
-    Label,
-    check_sampling,
-    colour_labels,
-    label_scene,
-    line_sigma_px,
-)
+from sim.datasets.labels import Label, check_sampling, colour_labels, label_scene, line_sigma_px
 from sim.devices import TankCamera
 from sim.render.layers import Layers
 from sim.scene import Scene, load_scene, scene_of

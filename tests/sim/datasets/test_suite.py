@@ -53,8 +53,6 @@ scatter_samples = 0
 on = false
 [lines.render.laser.two.stripe]
 returns = "last"
-[lines.render.laser.two.light]
-ambient_w_m2_sr = 0.02
 [lines.render.laser.two.laser]
 lines = [{ tilt_deg = -1.0, share = 0.5 }, { tilt_deg = 1.0, share = 0.5 }]
 

@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helper_spies import calls_made
-from served import (
-    Viewer,
-    hurry,
-    quick_rig,
-    small_scene,
-    snapshot,
-    stalled,
-    threads_of_hardware,
-)
+from served import Viewer, hurry, quick_rig, small_scene, snapshot, stalled, threads_of_hardware
 
 from lscan.acquisition.scan import open_devices, scan
 from lscan.config.documents import check
@@ -366,10 +358,7 @@ def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
 
 @pytest.mark.parametrize(
     ("section", "key", "value"),
-    [
-        ("head", "speed_mm_s", 5.0),
-        ("camera", "options", {"auto_exposure": True}),
-    ],
+    [("head", "speed_mm_s", 5.0), ("camera", "options", {"auto_exposure": True})],
 )
 def test_scenes_that_kept_pictures_cannot_show_are_refused(
     section: str, key: str, value: object

@@ -13,13 +13,7 @@ from truth_scenes import tank as scene_with
 from lscan.records import Floats
 from sim.render.firstorder import HEAD, HeadRays, head_rays
 from sim.render.gathered.veil import STEP, HigherVeil, field_of_view, smoothed
-from sim.render.gathered.veilphotons import (
-    BATCH,
-    COLUMNS,
-    KEPT,
-    ROWS,
-    veil_counts,
-)
+from sim.render.gathered.veilphotons import BATCH, COLUMNS, KEPT, ROWS, veil_counts
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.sheet import LaserSheet
 from sim.render.tank import Tank
@@ -193,7 +187,7 @@ def test_veil_is_the_judges() -> None:
             "turbidity_ntu": 1.0,
             "particle_absorption_per_m": None,
             "particle_scattering_per_m": None,
-        },
+        }
     )
     tank = Tank(shrunk(scene, 4))
     width, height = tank.scene.rig.camera.size_px

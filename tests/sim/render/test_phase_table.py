@@ -65,15 +65,7 @@ def cut_off(name: str) -> float:
     return integral(lambda angle: phase(angle) - top, high=FLAT)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mixture",
-        "petzold",
-        "fournier-forand",
-        "one lobe",
-    ],
-)
+@pytest.mark.parametrize("name", ["mixture", "petzold", "fournier-forand", "one lobe"])
 def test_the_value_is_the_waters(name: str) -> None:
     """Required to 1e-4.  Within a cell log p is taken as linear: for p = angle^-m that is off
     by m h2/8, h a cell's share of its angle, 5e-4 at 1e-4 rad and nothing above 1e-3 rad.

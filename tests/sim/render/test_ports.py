@@ -7,13 +7,7 @@ from drawn_examples import examples
 from hypothesis import given, strategies as st
 
 from lscan.records import Floats
-from sim.render.plugins.camera import (
-    DomeOptics,
-    FlatOptics,
-    PortCrossing,
-    PortOptics,
-    cross_face,
-)
+from sim.render.plugins.camera import DomeOptics, FlatOptics, PortCrossing, PortOptics, cross_face
 from sim.scene import PlanePort
 from sim.scene.instrument import DomePort
 

@@ -26,11 +26,7 @@ from sim.render.gathered.line import (
     received,
     visible_part,
 )
-from sim.render.gathered.surfaces import (
-    Reflections,
-    lasting,
-    visible_share,
-)
+from sim.render.gathered.surfaces import Reflections, lasting, visible_share
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.arrays import vectors

@@ -14,10 +14,7 @@ from sim.render.plugins.sheet import BOW_NODES, LaserSheet, bow
 from sim.scene import Head, Laser, Pose, head_pose, sheet_pose
 from sim.truth.sheet import TrueSheet, bow_of, sheet_plane
 
-INDEX, NM = (
-    1.3313,
-    650.0,
-)  # fresh water, red diode: docs/explanation/physics.md, section 1
+INDEX, NM = (1.3313, 650.0)  # fresh water, red diode: docs/explanation/physics.md, section 1
 STILL = Pose(np.eye(3), np.zeros(3))
 FEW = examples(25)
 # Positions of up to 1000 mm in single precision: half a unit in the last place is 3e-5 mm,

@@ -75,11 +75,7 @@ def test_a_pixel_in_one_part_displaces_a_thin_line_by_the_closed_form(sigma_px: 
 
 
 @examples(40)
-@given(
-    sigma_px=st.floats(0.3, 0.8),
-    phase=st.floats(-0.5, 0.5),
-    fineness=st.sampled_from([2, 3]),
-)
+@given(sigma_px=st.floats(0.3, 0.8), phase=st.floats(-0.5, 0.5), fineness=st.sampled_from([2, 3]))
 def test_pixels_in_parts_do_not_displace_a_line(
     sigma_px: float, phase: float, fineness: int
 ) -> None:

@@ -125,9 +125,7 @@ def test_the_board_is_exposed_as_well_as_the_study_s(problem_error: PredictedErr
         assert study.scan.rig.camera.exposure_ms == own
 
 
-def test_the_marks_scatter_as_a_disc_s_centre_in_white_noise(
-    problem_error: PredictedError,
-) -> None:
+def test_the_marks_scatter_as_a_disc_s_centre_in_white_noise(problem_error: PredictedError) -> None:
     """Its bound falls as the root of the radius: dots of 5 mm beside marks of 2 mm."""
     study = problem_error.of_design(problem_error.scan)
     bound = marks_sigma_px(study.calibrate)

@@ -33,10 +33,7 @@ pytestmark = pytest.mark.xdist_group("design_search")  # one worker: they share 
 SECTION = {
     "sights": ["logitech-*", "sony-*", "raspberry-pi-gs + *", "basler-daa1440*"],
     "tracks": ["v-slot-tr8", "belt-gt2"],
-    "numbers": {
-        "stand_off_mm": {"uniform": [400, 1200]},
-        "head.depression_deg": [15, 30, 45],
-    },
+    "numbers": {"stand_off_mm": {"uniform": [400, 1200]}, "head.depression_deg": [15, 30, 45]},
     "limits": {"cost_eur": {"at_most": 500}, "laser_class": {"at_most": "3R"}},
     "trials": 20,
     "population": 10,

@@ -44,10 +44,7 @@ def test_with_nothing_at_work_nothing_is_off() -> None:
 
 @pytest.mark.parametrize(
     "target",
-    [
-        {"position_mm": [0.0, 0.0, 92.0]},
-        {"position_mm": [-25.0, 0.0, 10.0], "tilt_y_deg": 3.0},
-    ],
+    [{"position_mm": [0.0, 0.0, 92.0]}, {"position_mm": [-25.0, 0.0, 10.0], "tilt_y_deg": 3.0}],
     ids=["above", "beside and turned"],
 )
 def test_where_the_board_lies_in_the_sheet_does_not_matter(target: Document) -> None:

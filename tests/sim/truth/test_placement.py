@@ -13,7 +13,6 @@ from places import SCENES
 from truth_scenes import block_mesh, tank
 from typer.testing import CliRunner
 
-from lscan.cli.console import run_command_line
 from lscan.config.rig import load_rig
 from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError
@@ -229,9 +228,7 @@ def test_missing_triangles_are_counted() -> None:
     assert gaps_of(loose) == []
 
 
-def test_the_commands_say_it_on_stderr(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_commands_say_it(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     mesh = trimesh.creation.box(extents=(0.06, 0.05, 0.0125))
     mesh.export(tmp_path / "stone.stl")
     path = tmp_path / "scene.toml"
@@ -239,12 +236,9 @@ def test_the_commands_say_it_on_stderr(
         f'include = "{SCENES / "paper" / "groove.toml"}"\nexclude = "workpiece"\n'
         '[target]\nshape = "mesh"\nfile = "stone.stl"\nposition_mm = [225.0, 500.0, -400.0]\n'
     )
-    monkeypatch.setattr("sys.argv", ["lscan-sim", "truth", str(path), "-o", str(tmp_path / "out")])
-    with pytest.raises(SystemExit) as left:
-        run_command_line(app, "lscan-sim")
-    told = capsys.readouterr().err
-    assert left.value.code == 0, told
-    size, missed = told.splitlines()
+    done = CliRunner().invoke(app, ["truth", str(path), "-o", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.output
+    size, missed = caplog.messages
     assert size == f"note: {path}: target.file: stone.stl is 0.06 x 0.05 x 0.0125 mm, 12 triangles"
     assert missed.startswith(f"note: {path}: target: the line does not fall on it")
 

@@ -222,11 +222,7 @@ def test_spheres_scatter_all_and_nowhere_less_than_nothing(spheres):
 
 
 @pytest.mark.parametrize(
-    ("index", "slope", "named"),
-    [
-        (1.51, 3.5, "particle_index"),
-        (1.1, 5.0, "junge_slope"),
-    ],
+    ("index", "slope", "named"), [(1.51, 3.5, "particle_index"), (1.1, 5.0, "junge_slope")]
 )
 def test_spheres_out_of_range_are_refused(index, slope, named):
     with pytest.raises(InputError, match=f"water: {named}: must be a number"):

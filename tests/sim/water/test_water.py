@@ -188,10 +188,7 @@ def test_totals_of_nothing_are_empty_space():
             {"phase": "fournier-forand", "particle_index": 1.05, "junge_slope": 4.0},
             FournierForand(1.05, 4.0),
         ),
-        (
-            {"phase": "henyey-greenstein", "asymmetry": 0.8},
-            HenyeyGreensteinMixture((1.0,), (0.8,)),
-        ),
+        ({"phase": "henyey-greenstein", "asymmetry": 0.8}, HenyeyGreensteinMixture((1.0,), (0.8,))),
     ],
 )
 def test_the_particles_scatter_as_the_scene_names(settings, particles):

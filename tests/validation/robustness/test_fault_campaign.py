@@ -19,17 +19,9 @@ from lscan.devices.opencv_camera import OpencvCamera
 from lscan.errors import DeviceError, InputError
 from lscan.records import Frame
 from tests.validation.robustness import campaign
-from tests.validation.robustness.campaign import (
-    KINDS,
-    Outcome,
-    run_campaign,
-)
+from tests.validation.robustness.campaign import KINDS, Outcome, run_campaign
 from tests.validation.robustness.faults import FRAMES, InjectedFault, Phase
-from tests.validation.robustness.faulty import (
-    ExposureMark,
-    draw_mark,
-    read_mark,
-)
+from tests.validation.robustness.faulty import ExposureMark, draw_mark, read_mark
 
 
 @pytest.fixture(autouse=True)

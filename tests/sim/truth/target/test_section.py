@@ -12,13 +12,7 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from sim.meshes.parts import grid_faces, plain_mesh
 from sim.scene import Pose, head_pose, rotation
-from sim.truth.section import (
-    TargetSection,
-    grooved_block_surfaces,
-    section_at,
-    split,
-    surfaces_of,
-)
+from sim.truth.section import TargetSection, grooved_block_surfaces, section_at, split, surfaces_of
 from sim.truth.surfaces import Mesh, Polygon, Wave, area, sandwave_surfaces, spread
 
 MANY = examples(30)
