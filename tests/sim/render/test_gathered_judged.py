@@ -85,6 +85,7 @@ def test_a_picture_is_gathered_whose_line_is_out_of_view() -> None:
     """Two metres beside the camera; what the water scatters is still seen."""
     scene = shrunk(load_scene("paper/sandwave"), 4)
     x, y, z = scene.tank.laser.apex_mm
-    light = Tank(scene.with_tank(laser={"apex_mm": (x, y + 2000.0, z)})).render(POSITION_MM, 1)
+    away = {"laser": {"apex_mm": (x, y + 2000.0, z)}, "light": {"ambient_w_m2_sr": 0.0}}
+    light = Tank(scene.with_tank(**away)).render(POSITION_MM, 1)
     assert np.all(light.direct == 0)
     assert np.all(np.isfinite(light.scattered)) and light.scattered.max() > 0
