@@ -213,12 +213,6 @@ def test_what_ends_a_shard_costs_the_picture_under_way_alone(
     make_dataset(spec, tmp_path / "set", 4, form=form, workers="none", resume=True)
     assert len(shown) == 3 + 2
     assert content(tmp_path / "set") == content(tmp_path / "whole")
-    if form != "folders":  # a shard that was torn or has flipped a bit is made anew
-        (shard,) = (path for path in (tmp_path / "set").glob("shard-*") if path.suffix != ".json")
-        shard.write_bytes(shard.read_bytes()[:-1] + b"x")
-        pictures(None)
-        make_dataset(spec, tmp_path / "set", 4, form=form, workers="none", resume=True)
-        assert content(tmp_path / "set") == content(tmp_path / "whole")
     # Where it killed its workers time and again, what they had made is kept.
     record = packed_shard(ShardTask(spec, tmp_path / "killed", form, 0, 0, 4), "killed its worker")
     assert record.keys == ("000000000",)
