@@ -204,17 +204,3 @@ def test_a_line_on_a_tilted_plane_shines_more_to_one_side(
     assert list(found.values()) == pytest.approx([1.0] * len(found), abs=GAUSSIANS)
     for away in (2, 4):
         assert found[away] / found[-away] == pytest.approx(1, abs=GAUSSIANS / 2)
-
-
-def test_tilts_are_tangents_along_the_picture(chart: Chart) -> None:
-    """By 0.5 rad to the right or 0.3 rad upwards of the camera's axis; 0 where there is nothing."""
-    right, down, ahead = chart.axes.T
-    normals = [
-        np.sin(0.5) * right - np.cos(0.5) * ahead,
-        -np.sin(0.3) * down - np.cos(0.3) * ahead,
-        0 * ahead,
-    ]
-    ways = np.repeat(ahead[:, np.newaxis], 3, axis=1).astype(np.float32)
-    tilt = chart.tilt(np.array(normals, np.float32), ways)
-    expected = [[np.tan(0.5), 0], [0, -np.tan(0.3)], [0, 0]]
-    np.testing.assert_allclose(tilt, expected, atol=1e-6)

@@ -230,34 +230,6 @@ def test_a_line_on_facets_lights_a_hollow_sphere_evenly() -> None:
     assert np.all((1 - missing - AS_POINTS < share) & (share < 1 + AS_POINTS))
 
 
-def wave(x: Floats) -> tuple[Floats, Floats]:
-    """(N, 3) points of a wave 24 mm high and 100 mm long, its troughs 21 mm round, and normals."""
-    turn = 2 * pi / 100
-    slope = -12 * turn * np.sin(turn * x)
-    point = np.column_stack([x, 0 * x, 12 * np.cos(turn * x)])
-    normal = np.column_stack([-slope, 0 * x, np.ones_like(x)])
-    return point, normal / np.linalg.norm(normal, axis=1, keepdims=True)
-
-
-def test_a_wavy_line_lights_itself_as_by_quadrature() -> None:
-    """1 mW a mm of the way along; in the troughs, where nothing hides the line.  As the surface's
-    chords segments lose 1 to 3 % of it, with half as many of them 2 to 6."""
-    x = (np.arange(RAYS) + 0.5) * 300 / RAYS
-    line = _line_segments(np.full(RAYS, 300 / RAYS), *wave(x), np.zeros(RAYS))
-    places, upright = wave(np.concatenate([np.linspace(40, 60, 41), np.linspace(240, 260, 41)]))
-    point, normal = mi.Point3f(vectors(places.T)), mi.Vector3f(vectors(upright.T))
-    close, far = received(line, point, normal, mi.Float(0), mi.Bool(True))
-    sources, leaves = wave((np.arange(60_000) + 0.5) * 300 / 60_000)
-    expected = []
-    for place, up in zip(places, upright, strict=True):
-        off = sources - place
-        square = (off**2).sum(axis=1)
-        sent = np.maximum(-(off * leaves).sum(axis=1), 0) * np.maximum(off @ up, 0)
-        expected.append((sent / np.maximum(square, 1e-6) ** 2).sum() / pi * 300 / 60_000)
-    share = np.array(close + far) / expected
-    assert np.all((share > 0.965) & (share < 1))
-
-
 def from_wall_to_floor(albedo: float) -> Floats:
     """Irradiance of the places (X_MM, Y_FLOOR_MM) of a floor by what a wall at x = 100 sends of the
     light of the line on the floor, in the corner of an endless one of 1 mW/mm that runs into it.

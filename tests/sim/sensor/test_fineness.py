@@ -24,13 +24,13 @@ from sensor_scenes import EXPOSURE_MS, sensor_scene
 from truth_scenes import tank
 
 from lscan.errors import InputError
-from lscan.records import Floats, Status
-from sim.datasets.labels import label_scene, line_sigma_px
+from lscan.records import Floats
+from sim.datasets.labels import label_scene
 from sim.render.layers import Layers, fineness_of, finer_lens
 from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.sensor import Webcam
-from sim.truth import project, stripe_truth
+from sim.truth import project
 
 CAMERA = {"width_px": 64, "height_px": 48}
 LENS = {"focal_px": 85.0, "centre_px": [31.3, 23.8], "k1": -0.1, "p1": 0.002}
@@ -225,54 +225,6 @@ def test_a_window_is_cut_out_of_the_parts_too() -> None:
     film = here.make_camera((10, 20, 30, 15)).film()
     assert tuple(film.size()) == (128, 96)
     assert tuple(film.crop_offset()) == (20, 40) and tuple(film.crop_size()) == (60, 30)
-
-
-def test_a_thin_line_in_the_tank_follows_the_pixels_by_the_closed_form() -> None:
-    """A line of 0.25 px: by 0.1 px in one part, by 1e-3 px in two, by 4e-6 px in three.
-
-    A part is seen at n places a side, n = 6 / f, whose mean has at one line per part the slope
-    of the sinc times (pi / n) / sin(pi / n).  What perspective and Fresnel's losses do to the
-    line, 3e-3 px, is common to all and drops out of the differences.  It is not quite a
-    Gaussian at the truth's place: its mean is 3.3e-3 px from there, its third moment
-    3 (2.2e-3 px) (0.25 px)², and at f lines a pixel these turn its phase by
-    2 pi f 3.3e-3 + (2 pi f)³ 4.3e-4 / 6 < 0.04 f³, the tolerance over the alias.
-    """
-    error, alias = {}, {}
-    for fineness in (1, 2, 3):
-        scene = small(fineness)
-        truth = stripe_truth(scene, 0.0)
-        clear = (truth.status == Status.OK) & (truth.edge_px > 4)
-        assert clear.sum() > 30
-        light = Webcam(scene).mean_electrons(direct_only(scene), EXPOSURE_MS)[..., 0].astype(float)
-        found = (light * np.arange(48.0)[:, None]).sum(axis=0) / light.sum(axis=0)
-        error[fineness] = (found - truth.centre_px)[clear]
-        sharp = line_sigma_px(sharp_lens(scene), truth)[clear]
-        alias[fineness] = alias_px(sharp, truth.centre_px[clear], fineness)
-    for fineness in (1, 2):
-        tolerance = 0.04 * fineness**3 * np.abs(alias[fineness]).max()
-        differences = error[fineness] - error[3], alias[fineness] - alias[3]
-        np.testing.assert_allclose(*differences, rtol=0, atol=tolerance)
-    assert np.abs(alias[1]).min() > 0.05 and np.abs(alias[2]).max() < 0.002
-
-
-def alias_px(sigma_px: Floats, centre_px: Floats, fineness: int) -> Floats:
-    """By how much the parts of a pixel, each seen at 6 / f places a side, displace a line."""
-    step = np.pi * fineness / 6
-    size = np.exp(-2 * np.pi**2 * (fineness * sigma_px) ** 2) / (np.pi * fineness)
-    at = fineness * centre_px + (fineness - 1) / 2
-    return -step / np.sin(step) * size * np.sin(2 * np.pi * at)
-
-
-def sharp_lens(scene: Scene) -> Scene:
-    """The scene with a lens that does not blur."""
-    lens = scene.tank.lens.model_copy(update={"blur_px": 0.0})
-    return replace(scene, tank=scene.tank.model_copy(update={"lens": lens}))
-
-
-def direct_only(scene: Scene) -> Layers:
-    """The light of the line alone, without the veil."""
-    layers = Tank(scene).render(0.0)
-    return replace(layers, scattered=np.zeros_like(layers.scattered))
 
 
 def test_scattered_samples_are_shared_out_rounded_up() -> None:
