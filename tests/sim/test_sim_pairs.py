@@ -24,7 +24,6 @@ def rig_of(name: str = "paper/groove.toml", **sections: dict[str, Any]) -> RigFi
         "camera": {"width_px": WIDTH, "height_px": HEIGHT},
         "lens": {"centre_px": [319.5 - LEFT, 239.5 - TOP]},
         "render": {"samples": 4, "scatter_samples": 0},
-        "light": {"ambient_w_m2_sr": 0.1},
     }
     return parse_rig(merge(merge(document, window), sections), source="small")
 
@@ -38,9 +37,9 @@ def devices(rig_file: RigFile) -> tuple[SimTrack, SimCamera]:
 def test_a_dark_picture_is_that_of_the_tank_with_next_to_no_laser() -> None:
     """Without noise to the byte.  A laser of a picowatt adds nothing but, unlike none at all,
     leaves each random sample of the ambient light where it was."""
-    quiet = {"noise": False}
-    _, camera = devices(rig_of(sensor=quiet))
-    _, unlit = devices(rig_of(sensor=quiet, laser={"power_mw": 1e-9}))
+    lamp = {"sensor": {"noise": False}, "light": {"ambient_w_m2_sr": 0.1}}
+    _, camera = devices(rig_of(**lamp))
+    _, unlit = devices(rig_of(**lamp, laser={"power_mw": 1e-9}))
     lit, dark, expected = camera.grab(0), camera.grab(0, dark=True), unlit.grab(0)
     np.testing.assert_array_equal(dark.image, expected.image)
     assert lit.image[..., 0].max() > dark.image[..., 0].max() + 50

@@ -44,7 +44,7 @@ def pose_of(tank: Tank, position_mm: float = POSITION_MM) -> Pose:
     return head_pose(tank.scene.tank.head, position_mm)
 
 
-@pytest.mark.parametrize(("axis", "turn"), [([1, 0, 0], 0), ([1, 0, 0], 20), ([0, 1, 0], -20)])
+@pytest.mark.parametrize(("axis", "turn"), [([1, 0, 0], 20), ([0, 1, 0], -20)])
 def test_planes_leave_all(tank: Tank, paths: HaloPaths, axis: list[float], turn: float) -> None:
     """What a plane hides lies behind it, where no light of it gets."""
     plane = mi.ScalarTransform4f().rotate(axis, turn).scale(1e5)

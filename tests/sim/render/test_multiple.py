@@ -288,7 +288,7 @@ def arriving(albedo: float, water: Optics) -> tuple[Floats, Floats]:
         np.pi * area * radiance(scene, one, *rays).reshape(RUNS, -1).mean(axis=1)
         for one, rays in zip(
             both(water, [sheet], 0.0),
-            (wall_rays(RUNS * 2**15, seed=17), wall_rays(RUNS * 2**13, seed=18)),
+            (wall_rays(RUNS * 2**15, seed=17), wall_rays(RUNS * 2**12, seed=18)),
             strict=True,
         )
     )
@@ -312,7 +312,7 @@ def test_water_that_only_scatters_loses_no_light() -> None:
     whole = straight + first + higher
     error = whole.std(ddof=1) / np.sqrt(RUNS)
     expected = BOXED.power_mw / (1 - albedo)
-    assert error < 1e-2 * expected
+    assert error < 2e-2 * expected
     assert abs(whole.mean() - expected) < 4.1 * error + 1e-3 * expected
     assert higher.mean() > 0.3 * expected, "the higher orders carry much of it"
 

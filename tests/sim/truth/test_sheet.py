@@ -176,13 +176,12 @@ def test_a_laser_set_back_is_a_camera_set_forward(d, s):
     assert here.y_mm[good] == pytest.approx(d, abs=1e-9)
 
 
-@pytest.mark.parametrize(("make", "s"), [(block, -20.0), (sandwave, 44.0)])
-def test_a_slight_bow_is_next_to_none(make, s):
-    straight = make({"tilt_deg": 2.0})
-    bent = make({"tilt_deg": 2.0, "port_tilt_deg": 1e-7})
+def test_a_slight_bow_is_next_to_none():
+    straight = block({"tilt_deg": 2.0})
+    bent = block({"tilt_deg": 2.0, "port_tilt_deg": 1e-7})
     # The bow is 1e-9 of the distance: 1e-6 mm.  Columns at corners and shadows' edges may
     # go either way: a dozen corners.
-    a, b = stripe_truth(straight, s), stripe_truth(bent, s)
+    a, b = stripe_truth(straight, -20.0), stripe_truth(bent, -20.0)
     same = (a.status == b.status) & (a.face == b.face)
     assert np.count_nonzero(~same) <= 3
     shown = same & (a.status != Status.NO_PEAK)
