@@ -18,6 +18,7 @@ def small_rig():
     document = dict(load_rig(SCENE).document)
     document["camera"] = {**document["camera"], "width_px": 96, "height_px": 72}
     document["lens"] = {**document["lens"], "focal_px": 127.5, "centre_px": [47.5, 35.5]}
+    document["render"] = {"samples": 1, "scatter_samples": 0}
     return parse_rig(document, source="small")
 
 

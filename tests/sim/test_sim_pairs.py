@@ -11,15 +11,11 @@ from lscan.acquisition.run import Run
 from lscan.acquisition.scan import scan
 from lscan.config.documents import merge
 from lscan.config.rig import RigFile, load_rig, parse_rig
-from lscan.records import Status, has_value
-from lscan.stripe import extract_stripe
 from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.scene import scene_of
-from sim.truth import stripe_truth
 
 # The window of the paper's picture that holds the block.
 LEFT, TOP, WIDTH, HEIGHT = 170, 310, 300, 150
-EDGE_PX = 4.0  # from the ends of what is lit and seen: test_stripe_hard_cases.py
 
 
 def rig_of(name: str = "paper/groove.toml", **sections: dict[str, Any]) -> RigFile:
@@ -28,7 +24,6 @@ def rig_of(name: str = "paper/groove.toml", **sections: dict[str, Any]) -> RigFi
         "camera": {"width_px": WIDTH, "height_px": HEIGHT},
         "lens": {"centre_px": [319.5 - LEFT, 239.5 - TOP]},
         "render": {"samples": 4, "scatter_samples": 0},
-        "light": {"ambient_w_m2_sr": 0.1},
     }
     return parse_rig(merge(merge(document, window), sections), source="small")
 
@@ -42,9 +37,9 @@ def devices(rig_file: RigFile) -> tuple[SimTrack, SimCamera]:
 def test_a_dark_picture_is_that_of_the_tank_with_next_to_no_laser() -> None:
     """Without noise to the byte.  A laser of a picowatt adds nothing but, unlike none at all,
     leaves each random sample of the ambient light where it was."""
-    quiet = {"noise": False}
-    _, camera = devices(rig_of(sensor=quiet))
-    _, unlit = devices(rig_of(sensor=quiet, laser={"power_mw": 1e-9}))
+    lamp = {"sensor": {"noise": False}, "light": {"ambient_w_m2_sr": 0.1}}
+    _, camera = devices(rig_of(**lamp))
+    _, unlit = devices(rig_of(**lamp, laser={"power_mw": 1e-9}))
     lit, dark, expected = camera.grab(0), camera.grab(0, dark=True), unlit.grab(0)
     np.testing.assert_array_equal(dark.image, expected.image)
     assert lit.image[..., 0].max() > dark.image[..., 0].max() + 50
@@ -107,34 +102,3 @@ def test_laser_on_gives_the_pictures_of_a_laser_untouched(tmp_path: Path) -> Non
     on = scan(rig_of(plan={"frames": 1, "laser": "on"}), tmp_path / "on")
     untouched = scan(rig_of(plan={"frames": 1}), tmp_path / "untouched")
     assert on.rows == untouched.rows
-
-
-@pytest.mark.slow
-def test_in_strong_light_a_pair_beats_the_single_picture(tmp_path: Path) -> None:
-    """Checks in strong ambient light, against the truth, by the sign test.
-
-    Were the pair no better, it would be the nearer one in half of the n columns that the laser
-    reaches, give or take sqrt(n) / 2; more than four of those beyond the half happens by chance
-    once in 30 000.  A column in which no line is found is lost.
-    """
-    rig_file = rig_of(
-        "targets/textured.toml",
-        camera={"exposure_ms": 12.0},
-        render={"samples": 16},
-        light={"ambient_w_m2_sr": 0.5},
-        plan={"frames": 1, "laser": "pairs"},
-    )
-    frame = scan(rig_file, tmp_path / "a").frame(0)
-    truth = stripe_truth(scene_of(rig_file), frame.position_mm)
-    clear = (truth.status == Status.OK) & ~truth.multiple & (truth.edge_px > EDGE_PX)
-    errors = []
-    for background in (None, frame.background):
-        stripe = extract_stripe(frame.image, rig_file.rig.stripe, background)
-        error = np.abs(stripe.centre_px - truth.centre_px)
-        errors.append(np.where(has_value(stripe.status), error, np.inf)[clear])
-    single, pair = errors
-    decided = pair != single  # equal only where neither finds the line
-    wins, count = int((pair < single).sum()), int(decided.sum())
-    assert count > 100
-    assert wins > count / 2 + 4 * np.sqrt(count) / 2
-    assert np.isfinite(pair).mean() >= 0.95

@@ -13,7 +13,6 @@ from places import SCENES
 from typer.testing import CliRunner
 
 from lscan.cli.console import run_command_line
-from lscan.errors import InputError
 from lscan.figures.page import ReportFigure
 from sim.render.backend import THREADS
 from tests.validation import run
@@ -21,10 +20,8 @@ from tests.validation.__main__ import app
 from tests.validation.instrument import chapters as instrument
 from tests.validation.instrument.photographs import photograph_rows
 from tests.validation.light import chapters as light
-from tests.validation.robustness import chapters as robustness
 from tests.validation.rows import Chapters, Request, Row, ScenePicture, Topic, rows_of
-from tests.validation.run import THEMES, page_of, run_theme, share_of_bar
-from tests.validation.studies import chapters as studies
+from tests.validation.run import THEMES, page_of, run_theme
 
 
 def row(figure: float, bar: float = 1.0, **changes: Any) -> Row:
@@ -107,6 +104,7 @@ def test_ctrl_c_leaves_what_was_measured(
     assert [entry["figure"] for entry in written] == [0.5]
 
 
+@pytest.mark.slow
 def test_chapters_side_by_side_keep_their_order(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,19 +133,6 @@ class WithoutArguments:
         return self.call()
 
 
-def test_photographs_have_rows_where_a_folder_is_named(tmp_path: Path) -> None:
-    request = Request(SCENES, tmp_path)
-    assert "photographs" not in instrument.chapters(request)
-    named = Request(SCENES, tmp_path, photographs=tmp_path)
-    rows = instrument.chapters(named)["photographs"]()
-    assert isinstance(rows, list)
-    kinds = (("dot", ""), ("chessboard", "s"), ("laser", ""))
-    assert [one.what for one in rows] == [f"{name} photograph{s}" for name, s in kinds]
-    assert all(str(tmp_path) in one.error for one in rows)  # no picture is there
-    with pytest.raises(InputError, match="none"):
-        run_theme("instrument", Request(SCENES, tmp_path, photographs=tmp_path / "none"), tmp_path)
-
-
 @pytest.mark.parametrize("theme", sorted(THEMES))
 def test_a_theme_names_its_chapters(theme: str, tmp_path: Path) -> None:
     """The quick ones are among those of a whole run."""
@@ -156,14 +141,6 @@ def test_a_theme_names_its_chapters(theme: str, tmp_path: Path) -> None:
     quick = module.chapters(Request(SCENES, tmp_path, quick=True))
     assert whole and set(quick) <= set(whole)
     assert all(map(callable, whole.values()))
-
-
-@pytest.mark.parametrize("chapters", [instrument.chapters, robustness.chapters, studies.chapters])
-def test_a_missing_scene_is_refused_before_any_work(
-    chapters: Callable[[Request], Chapters], tmp_path: Path
-) -> None:
-    with pytest.raises(InputError, match="board"):
-        chapters(Request(tmp_path, tmp_path))
 
 
 def test_a_theme_that_there_is_not_is_refused(tmp_path: Path) -> None:
@@ -190,12 +167,6 @@ def test_the_page_shows_every_check_and_loads_nothing() -> None:
         assert text in page
     assert "http://" not in page.replace("http://www.w3.org", "") and "https://" not in page
     assert "All 1 figures are within" in page_of({"light": [topic(row(0.5))]})
-
-
-def test_the_gauge_is_full_where_the_bar_is_broken() -> None:
-    assert share_of_bar(0.25, 1.0) == 25
-    assert share_of_bar(2.0, 1.0) == 100
-    assert share_of_bar(float("nan"), 1.0) == 100
 
 
 @pytest.mark.parametrize(

@@ -205,14 +205,7 @@ def test_growing_ends_where_more_runs_were_not_agreed_to(finished: Path, tmp_pat
     ("change", "words"),
     [
         (("lens.focal_px", "lens.focal"), "small.toml, [cause.focal]: is the key of no number"),
-        (("lens.focal_px", "lense.focal_px"), "[cause.focal]: no such section"),
-        (("[850, 1]", "[0, 1]"), "[cause.focal]"),
-        (("base = 16", "base = 20"), "base must be a multiple of 16"),
         (("normal =", "norml ="), "norml"),
-        (
-            ("paper/board", "paper/groove"),
-            "small.toml: calibrate (got 'paper/groove'; allowed: a scene",
-        ),
         (("paper/board", "paper/bord"), "did you mean paper/board?"),
     ],
 )
@@ -230,21 +223,13 @@ def test_a_study_that_is_none_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("section", "words"),
-    [
-        ("[lens]\nfocal_px = 900.0", "lens differ"),
-        ("[port]\ntilt_x_deg = 1.0", "port differ"),
-        ("[camera]\nwidth_px = 600", "camera.width_px or height_px differ"),
-    ],
-)
-def test_two_scenes_of_two_rigs_are_refused(tmp_path: Path, section: str, words: str) -> None:
+def test_two_scenes_of_two_rigs_are_refused(tmp_path: Path) -> None:
     board = SCENES / "paper" / "board.toml"
-    scene = f'include = "{board.as_posix()}"\n{section}\n'
+    scene = f'include = "{board.as_posix()}"\n[port]\ntilt_x_deg = 1.0\n'
     (tmp_path / "board.toml").write_text(scene, encoding="utf-8")
     study = tmp_path / "small.toml"
     study.write_text(STUDY.replace("paper/board", "board.toml"), encoding="utf-8")
-    with pytest.raises(InputError, match=f"calibrate and scan are not of one rig: {words}"):
+    with pytest.raises(InputError, match="calibrate and scan are not of one rig: port differ"):
         load_study(study)
 
 
@@ -252,14 +237,8 @@ def test_two_scenes_of_two_rigs_are_refused(tmp_path: Path, section: str, words:
     ("arguments", "words"),
     [
         (["nothing.toml"], "nothing.toml: cannot be read: there is no such file, and no study"),
-        (["paper-budgt"], "did you mean paper-budget?"),
-        (
-            ["paper-budget", "--tier", "drawn"],
-            "--tier: not known (got 'drawn'; allowed: geometric, ",
-        ),
         (["paper-budget", "--at-most", "10"], "--at-most: too many runs ("),
         (["paper-budget", "--workers", "0"], "--workers: out of range (got 0; "),
-        (["paper-budget", "--processes", "3"], "--processes: not known (got '3'; allowed: none)"),
     ],
 )
 def test_a_wrong_argument_is_refused(

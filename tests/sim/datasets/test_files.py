@@ -1,7 +1,6 @@
 """The files of ``lscan-sim render`` and ``truth``: what they hold, and bad input."""
 
 import csv
-import json
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +21,7 @@ from lscan.errors import InputError
 from lscan.records import Status
 from sim.cli.app import app
 from sim.datasets.files import TruthTable, taken_at, taken_in, write_render, write_truth
-from sim.datasets.labels import (
-    Label,
-    check_sampling,
-    colour_labels,
-    label_scene,
-    line_sigma_px,
-)
+from sim.datasets.labels import Label, check_sampling, colour_labels, label_scene, line_sigma_px
 from sim.devices import TankCamera
 from sim.render.layers import Layers
 from sim.scene import Scene, load_scene, scene_of
@@ -57,7 +50,7 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 
 
 def test_a_line_has_one_table_that_reads_back_as_the_truth(tmp_path: Path) -> None:
-    scene = small(laser={"tilt_deg": 3.0, "port_tilt_deg": 5.0})
+    scene = small(laser={"tilt_deg": 3.0})
     files = write_truth(scene, taken_at(scene, [12.5]), tmp_path)
     assert files == {"stripe": TruthTable(tmp_path / "stripe.csv", {"OK": 64})}
     rows, truth = read(files["stripe"].file), stripe_truth(scene, 12.5)
@@ -91,11 +84,6 @@ def test_each_of_several_lines_has_a_table(tmp_path: Path) -> None:
         # Double precision over lengths of a metre; nothing else stands between.
         np.testing.assert_allclose(column(rows, "y_mm"), lean, rtol=0, atol=1e-9)
         np.testing.assert_allclose(column(rows, "z_mm"), FLOOR_MM, rtol=0, atol=1e-9)
-
-
-def test_a_list_of_one_line_is_one_line(tmp_path: Path) -> None:
-    scene = small(laser={"lines": LINES[:1]})
-    assert list(write_truth(scene, taken_at(scene, [0.0]), tmp_path)) == ["stripe"]
 
 
 def test_a_board_has_a_table_beside_the_line(tmp_path: Path) -> None:
@@ -156,15 +144,6 @@ def test_without_the_laser_all_light_is_ambient(tmp_path: Path) -> None:
     files = write_render(scene, 0.0, tmp_path)
     labels = cv2.imread(str(files["labels"]), cv2.IMREAD_UNCHANGED)
     assert np.all(labels == Label.AMBIENT)
-
-
-def test_the_command_names_its_files(tmp_path: Path) -> None:
-    scene = str(SCENES / "lasers" / "five-lines.toml")
-    done = CliRunner().invoke(app, ["truth", scene, "-o", str(tmp_path / "t"), "--json"])
-    assert done.exit_code == 0, done.output
-    named = json.loads(done.output)
-    assert list(named) == [f"stripe-{line}" for line in range(5)]
-    assert all(Path(path).is_file() for path in named.values())
 
 
 def test_several_positions_are_frames_of_one_table(tmp_path: Path) -> None:
@@ -292,7 +271,7 @@ def test_runs_without_truth_are_refused(tmp_path: Path) -> None:
     assert "holds no frame yet" in said(str(tmp_path / "begun"))
 
 
-@pytest.mark.parametrize(("sigma_px", "fewest"), [(0.5, 1), (0.4, 4), (0.2, 9), (0.1, 25)])
+@pytest.mark.parametrize(("sigma_px", "fewest"), [(0.5, 1), (0.2, 9)])
 def test_samples_farther_apart_than_the_line_is_wide_are_refused(
     sigma_px: float, fewest: int
 ) -> None:

@@ -120,18 +120,7 @@ def test_several_lines_are_all_lines():
     direct = np.ones((21, 2))
     lines = [(truth([at, at]), np.full(2, 0.5)) for at in (4.0, 16.0)]
     picture = label_picture(layers(direct), lines)
-    assert np.flatnonzero(picture[:, 0] == Label.LINE).tolist() == [
-        2,
-        3,
-        4,
-        5,
-        6,
-        14,
-        15,
-        16,
-        17,
-        18,
-    ]
+    assert np.flatnonzero(picture[:, 0] == Label.LINE).tolist() == [*range(2, 7), *range(14, 19)]
 
 
 def test_a_scene_has_the_cores_of_all_its_lines():

@@ -100,15 +100,12 @@ def test_an_exact_chain_is_exact_and_a_wrong_one_is_not(suite, chain_file):
     """The best chain is within 0.1 mm rms; the paper's moved by two pixels is off by twice what a
     pixel is on the sheet there, about 1.1 mm along z at this angle, and says so of every point."""
     moved = chain_file({"extractor": f'"{__name__}:off_by_two"'})
-    run = run_suite(str(suite), {"chain": ["best/groove", "paper/rig", moved]})
+    run = run_suite(str(suite), {"chain": ["best/groove", moved]})
     rows = {row.extractor: row for row in suite_rows(run, ())}
-    best, paper, wrong = (rows[f"{name}: points"] for name in ("best/groove", "paper/rig", moved))
+    best, wrong = (rows[f"{name}: points"] for name in ("best/groove", moved))
     assert best.found > 0.99
     assert np.hypot(best.bias_px, best.scatter_px) < 0.1
-    assert np.hypot(paper.bias_px, paper.scatter_px) < 0.3
     assert wrong.wrong > 0.9
-    assert paper.wrong < 0.02
-    assert rows[f"{moved}: board"].bias_px == rows["paper/rig: board"].bias_px
     grooves = rows["best/groove: grooves"]
     assert (grooves.found, grooves.cases) == (1, 2)
     assert np.hypot(grooves.bias_px, grooves.scatter_px) < 0.2

@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helper_spies import calls_made
-from served import (
-    Viewer,
-    hurry,
-    quick_rig,
-    small_scene,
-    snapshot,
-    stalled,
-    threads_of_hardware,
-)
+from served import Viewer, hurry, quick_rig, small_scene, snapshot, stalled, threads_of_hardware
 
 from lscan.acquisition.scan import open_devices, scan
 from lscan.config.documents import check
@@ -101,17 +93,16 @@ def test_a_scan_by_the_real_drivers_is_the_simulated_one_within_jpeg_and_noise(
 # ---- pictures after a move --------------------------------------------------------------
 
 
-@pytest.mark.parametrize("flush_frames", [1, 2])
 def test_after_a_move_the_driver_gives_the_new_place(
-    scene: Scene, hardware: EmulatedHardware, flush_frames: int
+    scene: Scene, hardware: EmulatedHardware
 ) -> None:
     """Whatever is handed out while the head rests is true, so only what was on its way when
     the head came to rest can be old: with one picture dropped, none is."""
     places = [20.0, 95.0]
     seen = references(scene, places)
-    rig_file = quick_rig(hardware, {"flush_frames": flush_frames}, settle_s=0.0, approach_mm=0.0)
+    rig_file = quick_rig(hardware, {"flush_frames": 1}, settle_s=0.0, approach_mm=0.0)
     with open_devices(rig_file) as (camera, track):
-        for move in range(10):
+        for move in range(6):
             place = places[move % 2]
             track.move_to(place)
             assert nearest(camera.grab().image, seen) == place
@@ -133,26 +124,22 @@ def test_every_picture_sent_while_the_head_rests_shows_where_it_rests(scene: Sce
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("others", [0, 1])
-def test_a_long_move_is_seen_as_it_goes_on(
-    others: int, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_long_move_is_seen_as_it_goes_on(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Pictures of the second half of a way of two seconds are those of the place that the head was
-    passing, within coding and noise, as in the first test; no other place is handed out.
-
-    others: processes that take pictures too, once they are ready."""
+    passing, within coding and noise, as in the first test; no other place is handed out.  Another
+    process takes pictures too, once it is ready."""
     helpers, made = [], calls_made(monkeypatch)
 
     @contextmanager
     def sharing() -> Iterator[list[dict[str, str]]]:
-        yield [{"LSCAN_THREADS": "2"}] * others
+        yield [{"LSCAN_THREADS": "2"}]
 
     monkeypatch.setattr("sim.emulators.webcam.sharing", sharing)
     with EmulatedHardware(scene) as hardware:
         hurry(hardware)
         rig_file = quick_rig(hardware, feed_mm_min=2250.0, settle_s=0.0, approach_mm=0.0)
         with open_devices(rig_file) as (_, track), hardware._camera.watched():
-            for place in (20.0, 95.0) * 15 if others else ():
+            for place in (20.0, 95.0) * 15:
                 track.move_to(place)  # until the other process is ready
                 if made:
                     break
@@ -168,7 +155,7 @@ def test_a_long_move_is_seen_as_it_goes_on(
                 if shot is not None and shot.head.position_mm is None:
                     shots.append(shot)
             mover.join()
-    assert len(helpers) == others == (len(made) > 2)
+    assert len(helpers) == 1 and len(made) > 2
     for helper in helpers:
         with pytest.raises(ProcessLookupError):
             os.kill(helper.process_id, 0)
@@ -284,9 +271,7 @@ def test_the_rig_file_loads_and_is_the_scene_without_its_tank(
     assert "lens" not in loaded.document
 
 
-@pytest.mark.parametrize(
-    ("start_mm", "step_mm", "frames"), [(0.0, 0.5, 400), (-130.3, -0.7, 40), (5000.0, 1.0, 1)]
-)
+@pytest.mark.parametrize(("start_mm", "step_mm", "frames"), [(-130.3, -0.7, 40), (5000.0, 1.0, 1)])
 def test_the_travel_holds_the_plan_wherever_it_lies(
     start_mm: float, step_mm: float, frames: int
 ) -> None:
@@ -361,10 +346,6 @@ def test_a_link_left_by_one_that_was_killed_is_replaced(scene: Scene, tmp_path: 
     [
         ({"quality": 0}, r"quality: must be a whole number of 1 to 100 \(got 0\)"),
         ({"fps": 0.0}, r"fps: must be a number of 0\.1 to 240"),
-        ({"fps": float("nan")}, r"fps: must be a number of 0\.1 to 240"),
-        ({"places": 0}, "places: must be a whole number of 1 to 100000"),
-        ({"http_port": 70_000}, "http_port: must be a whole number of 0 to 65535"),
-        ({"subsampling": "4:1:0"}, "subsampling: must be '4:4:4', '4:2:2' or '4:2:0'"),
         ({"dialect": "gcode"}, "dialect: must be 'grbl' or 'marlin'"),
     ],
 )
@@ -377,12 +358,7 @@ def test_bad_options_are_refused(options: dict[str, Any], message: str) -> None:
 
 @pytest.mark.parametrize(
     ("section", "key", "value"),
-    [
-        ("head", "speed_mm_s", 5.0),
-        ("sensor", "noise", False),
-        ("laser", "drift", {}),
-        ("camera", "options", {"auto_exposure": True}),
-    ],
+    [("head", "speed_mm_s", 5.0), ("camera", "options", {"auto_exposure": True})],
 )
 def test_scenes_that_kept_pictures_cannot_show_are_refused(
     section: str, key: str, value: object

@@ -33,10 +33,7 @@ OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 HEADER = ply("ascii", 3, 1)
 REFUSED: dict[str, tuple[bytes, str]] = {
     "binary.obj": (bytes(range(256)), "is no text, or one in UTF-16"),
-    "wide.obj": (
-        (OBJ + b"f 1 2 3\n").decode().encode("utf-16"),
-        "is no text, or one in UTF-16",
-    ),
+    "wide.obj": ((OBJ + b"f 1 2 3\n").decode().encode("utf-16"), "is no text, or one in UTF-16"),
     "wide.off": ("OFF\n3 1 0\n".encode("utf-16"), "is no text, or one in UTF-16"),
     "letters.obj": (b"\xff\xd8\xe0" * 99, "holds no triangles"),
     "word.obj": (OBJ + b"v 1 x 2\nf 1 2 3\n", "line without its numbers (got 'v 1 x 2')"),

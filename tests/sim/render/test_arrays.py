@@ -28,7 +28,7 @@ from sim.scene import load_scene
 from sim.render.tank import Tank
 from tests.validation.light.gallery import shrunk
 for name, light in {cases!r}:
-    scene = shrunk(load_scene(name), 3).with_tank(render={{"light": light}})
+    scene = shrunk(load_scene(name), 8).with_tank(render={{"light": light}})
     Tank(scene).render(0.0)
 """
 
@@ -60,9 +60,9 @@ def test_all_begin_where_a_cache_line_does(count: int) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are forbidden as on Linux")
-@pytest.mark.parametrize("kind", ["floats({0})", "indices({0})", "long_indices({0})"])
-def test_kernels_do_not_read_past_the_end(kind: str) -> None:
-    assert ended(f"({kind.format(ODD)} + 1).numpy()") == 0
+def test_kernels_do_not_read_past_the_end() -> None:
+    kinds = ("floats", "indices", "long_indices")
+    assert ended("\n".join(f"({kind}({ODD}) + 1).numpy()" for kind in kinds)) == 0
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are forbidden as on Linux")
@@ -74,5 +74,5 @@ def test_the_guard_notices_who_reads_past_the_end() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are forbidden as on Linux")
 def test_pictures_do_not_read_past_the_end() -> None:
-    cases = [("best/sandwave", "gathered"), ("targets/wet", "gathered"), ("best/board", "sampled")]
+    cases = [("best/sandwave", "gathered"), ("targets/wet", "gathered")]
     assert ended(RENDERED.format(cases=cases)) == 0

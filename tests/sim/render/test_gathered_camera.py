@@ -68,9 +68,10 @@ class TiltedPlane:
         return [self.shining(self.chart.inner, inner), self.shining(self.chart.outer, outer)]
 
 
-@pytest.mark.parametrize("at", [(72, 56), (36, 28)], ids=["middle", "aside"])
-@pytest.mark.parametrize("tilt", [0.0, 0.6, 1.0, 1.2])
-@pytest.mark.parametrize("distance", [600.0, 1200.0])
+@pytest.mark.parametrize(
+    ("at", "tilt", "distance"),
+    [((72, 56), 0.0, 600.0), ((36, 28), 0.6, 1200.0), ((72, 56), 1.2, 1200.0)],
+)
 def test_a_patch_has_the_waters_halo(
     chart: Chart, leg: CameraLeg, at: tuple[int, int], tilt: float, distance: float
 ) -> None:
@@ -87,13 +88,6 @@ def test_a_patch_has_the_waters_halo(
         ring = ratio[(cells > nearest) & (cells < 2 * nearest)]
         assert ring.mean() == pytest.approx(1, abs=GAUSSIANS)
         assert ring.std() < 2 * GAUSSIANS
-
-
-def test_halos_are_linear(chart: Chart, leg: CameraLeg) -> None:
-    """Of twice the power, and of two patches together where each has the surface of its own."""
-    plane = TiltedPlane(chart, (72, 56), 800.0, 0.6, 0.4)
-    one, double = leg.halo(*plane.patch()), leg.halo(*plane.patch(2.0))
-    np.testing.assert_allclose(double, 2 * one, rtol=1e-5)
 
 
 def even_light(chart: Chart, leg: CameraLeg, distance: float) -> float:
@@ -168,7 +162,7 @@ def test_one_cells_halo_is_even(chart: Chart, leg: CameraLeg) -> None:
         assert above == pytest.approx(below, rel=0.01)
 
 
-@pytest.mark.parametrize("tilt", [-1.0, 0.0, 1.0])
+@pytest.mark.parametrize("tilt", [0.0, 1.0])
 def test_a_line_on_a_tilted_plane_shines_more_to_one_side(
     chart: Chart, leg: CameraLeg, tilt: float
 ) -> None:
@@ -210,33 +204,3 @@ def test_a_line_on_a_tilted_plane_shines_more_to_one_side(
     assert list(found.values()) == pytest.approx([1.0] * len(found), abs=GAUSSIANS)
     for away in (2, 4):
         assert found[away] / found[-away] == pytest.approx(1, abs=GAUSSIANS / 2)
-
-
-def test_tilts_are_tangents_along_the_picture(chart: Chart) -> None:
-    """By 0.5 rad to the right or 0.3 rad upwards of the camera's axis; 0 where there is nothing."""
-    right, down, ahead = chart.axes.T
-    normals = [
-        np.sin(0.5) * right - np.cos(0.5) * ahead,
-        -np.sin(0.3) * down - np.cos(0.3) * ahead,
-        0 * ahead,
-    ]
-    ways = np.repeat(ahead[:, np.newaxis], 3, axis=1).astype(np.float32)
-    tilt = chart.tilt(np.array(normals, np.float32), ways)
-    expected = [[np.tan(0.5), 0], [0, -np.tan(0.3)], [0, 0]]
-    np.testing.assert_allclose(tilt, expected, atol=1e-6)
-
-
-def test_points_bring_their_own_normals_and_distances_into_cells(chart: Chart) -> None:
-    """What is summed over cells is the points', wherever between cells they lie."""
-    grid = chart.inner
-    ways = grid.directions[:, [3000, 3001, 9000]] + 1e-4
-    ways /= np.linalg.norm(ways, axis=0)
-    far, power = np.array([700.0, 900.0, 1100.0]), np.array([1.0, 2.0, 3.0])
-    points = grid.pivot[:, np.newaxis] + ways * far
-    normals = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, 0.0, -1.0]]).T
-    cells = _splat(grid, chart, points, normals, power)
-    assert cells.power.sum() == pytest.approx(power.sum(), rel=1e-5)
-    assert cells.depth.sum() == pytest.approx((power * np.log(far - chart.near_mm)).sum(), rel=1e-5)
-    np.testing.assert_allclose(cells.tilt.sum(axis=(0, 1)), normals @ power, rtol=1e-5)
-    alone = cells.power.ravel() * (np.arange(cells.power.size) > 6000)
-    np.testing.assert_allclose(cells.tilt[..., 2].ravel()[alone > 0], -alone[alone > 0], rtol=1e-5)

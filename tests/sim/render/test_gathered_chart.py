@@ -5,7 +5,7 @@ import pytest
 from gathered_cases import small_view
 
 from lscan.records import Floats
-from sim.render.gathered.halo import COARSER, Chart, ChartGrid, cells_in_picture
+from sim.render.gathered.halo import Chart, ChartGrid, cells_in_picture
 
 
 @pytest.fixture(scope="module")
@@ -50,17 +50,6 @@ def test_places_and_directions_are_each_others(chart: Chart, grid: ChartGrid) ->
     np.testing.assert_allclose(middle, grid.directions[:, row * grid.shape[1] + column], atol=1e-12)
 
 
-def test_axes_lie_along_the_chart(chart: Chart, grid: ChartGrid) -> None:
-    """At right angles to the ray and to each other, and where the next cells lie."""
-    middle = np.array([[20.0], [30.0]])
-    index = 30 * grid.shape[1] + 20
-    axes = [grid.directions[:, index], grid.right[:, index], grid.down[:, index]]
-    np.testing.assert_allclose(np.array(axes) @ np.array(axes).T, np.eye(3), atol=1e-12)
-    for axis, step in zip(axes[1:], ([[1.0], [0.0]], [[0.0], [1.0]]), strict=True):
-        to_next = chart.between(grid, middle + step) - chart.between(grid, middle - step)
-        assert to_next[:, 0] @ axis == pytest.approx(np.linalg.norm(to_next), rel=1e-4)
-
-
 def test_solid_angles_add_up(chart: Chart, grid: ChartGrid) -> None:
     """To that of the grid's outline, by the Euler-Eriksson formula for the two halves of each of
     its cells; a cell of 0.02 rad is flat to 1e-3 at the outermost."""
@@ -77,18 +66,6 @@ def test_solid_angles_add_up(chart: Chart, grid: ChartGrid) -> None:
     exact = np.abs(triangle(a, b, c) + triangle(a, c, d))
     np.testing.assert_allclose(grid.solid_angle, exact, rtol=1e-3)
     assert grid.solid_angle.sum() == pytest.approx(exact.sum(), rel=1e-3)
-
-
-def test_the_coarse_grid_holds_the_fine_one(chart: Chart) -> None:
-    """The block's cells are the fine grid's, COARSER times as wide."""
-    inner, outer = chart.inner, chart.outer
-    rows, columns = chart.block
-    held = rows.stop - rows.start, columns.stop - columns.start
-    assert [COARSER * count for count in held] == list(inner.shape)
-    corner = np.array([[columns.start - 0.5], [rows.start - 0.5]])
-    np.testing.assert_allclose(
-        chart.between(outer, corner), chart.between(inner, np.array([[-0.5], [-0.5]])), atol=1e-12
-    )
 
 
 def test_pixels_lie_where_their_rays_point() -> None:

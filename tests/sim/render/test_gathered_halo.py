@@ -44,7 +44,7 @@ def pose_of(tank: Tank, position_mm: float = POSITION_MM) -> Pose:
     return head_pose(tank.scene.tank.head, position_mm)
 
 
-@pytest.mark.parametrize(("axis", "turn"), [([1, 0, 0], 0), ([1, 0, 0], 20), ([0, 1, 0], -20)])
+@pytest.mark.parametrize(("axis", "turn"), [([1, 0, 0], 20), ([0, 1, 0], -20)])
 def test_planes_leave_all(tank: Tank, paths: HaloPaths, axis: list[float], turn: float) -> None:
     """What a plane hides lies behind it, where no light of it gets."""
     plane = mi.ScalarTransform4f().rotate(axis, turn).scale(1e5)
@@ -58,11 +58,11 @@ def test_blocks_leave_what_quadrature_says(tank: Tank, paths: HaloPaths) -> None
 
     Of N points spread evenly a disc holds its share to N^(-3/4) at best (J. Beck, Irregularities
     of distribution I, Acta Mathematica 159, 1987), which is taken for what a shadow hides of the
-    PARTS places by which light gets into a ray: the largest of 63 errors is four times that.
+    PARTS places by which light gets into a ray: the largest of the errors is four times that.
     """
     head, scene, chart = pose_of(tank), tank.mitsuba_scene, gathered(tank)._chart
     left = paths.left(scene, head)
-    rows, columns = (np.arange(BLOCK // 2, side, 4 * BLOCK) for side in chart.inner.shape)
+    rows, columns = (np.arange(BLOCK // 2, side, 6 * BLOCK) for side in chart.inner.shape)
     row, column = (place.ravel() for place in np.meshgrid(rows, columns, indexing="ij"))
     eye = head.rotation @ chart.inner.pivot + head.origin_mm
     ways = head.rotation @ chart.between(chart.inner, np.stack([column, row]) - 0.5)
@@ -154,16 +154,3 @@ def test_what_is_left_is_interpolated_along_the_track(tank: Tank, paths: HaloPat
         np.testing.assert_allclose(found, 0.75 * here + 0.25 * there, rtol=1e-5)
     own = paths.left(tank.mitsuba_scene, pose_of(tank, 13 * LEFT_APART_MM))
     np.testing.assert_array_equal(known[0][0], own)
-
-
-def test_what_is_left_is_of_the_wide_halo(tank: Tank, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A picture's halo is in proportion to it, far from the line; all else stays."""
-    before = tank.higher_orders(POSITION_MM)
-    light = gathered(tank)
-    halo, *veil = light._left(POSITION_MM)
-    monkeypatch.setattr(light, "_left", lambda _: [halo / 2, *veil])
-    after = tank.higher_orders(POSITION_MM)
-    for name in ("surfaces", "veil"):
-        np.testing.assert_array_equal(after[name], before[name])
-    share = after["camera"] / before["camera"]
-    assert 0.5 - 1e-3 < share.min() < 0.6 and share.max() < 1

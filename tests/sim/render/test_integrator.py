@@ -17,7 +17,6 @@ from integrator_cases import (
     parts,
     render,
 )
-from scipy.integrate import quad
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import vectors
@@ -67,10 +66,9 @@ def test_single_scattering_against_the_check_values(x: float, quadrature: float)
     assert values.mean() == pytest.approx(quadrature, rel=1e-4)
 
 
-@pytest.mark.parametrize("waist", [0.3, 3.0])
 @pytest.mark.parametrize(
-    "shape",
-    [{"tilt_deg": 7.0, "fan": "gaussian"}, {"port_tilt_deg": 15.0}, {"port_tilt_deg": -20.0}],
+    ("shape", "waist"),
+    [({"tilt_deg": 7.0, "fan": "gaussian"}, 0.3), ({"port_tilt_deg": -20.0}, 3.0)],
 )
 def test_a_bent_or_leant_sheets_veil_against_quadrature(
     shape: dict[str, Any], waist: float
@@ -102,20 +100,13 @@ def test_a_bent_or_leant_sheets_veil_against_quadrature(
     assert error < 2e-3 * expected, "the integrand should hardly vary over the Gaussian"
 
 
-def test_the_phase_function_integrates_to_1() -> None:
-    """The lobe of these tests is a density: the quadratures above rest on its scale."""
-    lobe = one_lobe(0.0, 1.0, 0.9)
-    whole, _ = quad(lambda a: 2 * np.pi * np.sin(a) * float(lobe.phase(np.array(a))), 0, np.pi)
-    assert whole == pytest.approx(1.0, abs=1e-7)
-
-
 def test_direct_light_in_clear_medium_equals_stock_path() -> None:
     """Without absorption and scattering the picture is what Mitsuba's own ``path`` renders."""
     tank = Tank(groove_scene())
     camera = tank.make_camera(jitter=True)
     ours = SheetIntegrator(mi.Properties())
     ours.configure(DRY, tank.sheets, 0.0)
-    mine = parts(render(tank, camera, ours, 256, range(RUNS)), 4)
+    mine = parts(render(tank, camera, ours, 64, range(RUNS)), 4)
     stock = {"type": "path", "max_depth": 2}
     theirs = parts(render(tank, camera, stock, 256, range(100, 100 + RUNS)), 4)
     assert not differ(mine, theirs)

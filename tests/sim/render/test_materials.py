@@ -31,7 +31,6 @@ FINISHES = [
 ]
 NAMES = [f"{finish.kind}-{finish.roughness}" for finish in FINISHES]
 finishes = pytest.mark.parametrize("finish", FINISHES, ids=NAMES)
-few = examples(5)
 some = examples(10)
 
 
@@ -112,19 +111,17 @@ def saunderson(cosine: float, albedo: float, index: float) -> float:
     return first + (1 - first) * albedo * (1 - within) / (1 - albedo * within)
 
 
-@some
-@given(albedo=st.floats(0, 1), seed=st.integers(0, 1000))
-def test_matt_is_lamberts_law(albedo: float, seed: int) -> None:
+@pytest.mark.parametrize("albedo", [0.0, 0.37, 1.0])
+def test_matt_is_lamberts_law(albedo: float) -> None:
     """f cos = albedo cos / pi whatever the directions, to float32."""
-    generator = np.random.default_rng(seed)
-    towards, lit_from = directions(generator, 500), directions(generator, 500)
+    generator = np.random.default_rng(3)
+    towards, lit_from = directions(generator, 4000), directions(generator, 4000)
     value = evaluate(square(Finish(), albedo), towards, lit_from)
     np.testing.assert_allclose(value, albedo * lit_from[:, 2] / np.pi, rtol=1e-5, atol=1e-7)
 
 
-@pytest.mark.parametrize("albedo", [0.0, 0.05, 0.5, 0.9])
-@pytest.mark.parametrize("angle", [0.0, 0.5, 1.0])
-def test_a_smooth_wet_coat_is_saundersons(albedo: float, angle: float) -> None:
+@pytest.mark.parametrize(("angle", "albedo"), [(0.0, 0.9), (0.5, 0.05), (0.5, 0.5), (1.0, 0.0)])
+def test_a_smooth_wet_coat_is_saundersons(angle: float, albedo: float) -> None:
     """Four standard errors, and the 1 % that is asked of the tank's radiometry.
 
     The plugin's quadrature of the light reflected within takes a few tenths of a percent of
@@ -137,7 +134,7 @@ def test_a_smooth_wet_coat_is_saundersons(albedo: float, angle: float) -> None:
     assert weight.mean() == pytest.approx(expected, abs=error + 0.01 * expected)
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("angle", [0.0, 1.0])
 def test_a_mirror_throws_the_light_where_a_mirror_does(angle: float) -> None:
     """Smooth facets hide little, so nearly all the albedo comes back, about the mirrored ray.
 
@@ -156,7 +153,7 @@ def test_a_mirror_throws_the_light_where_a_mirror_does(angle: float) -> None:
 
 
 @finishes
-@pytest.mark.parametrize("angle", [0.0, 0.8, 1.3, 1.5])
+@pytest.mark.parametrize("angle", [0.0, 1.5])
 def test_no_finish_reflects_more_than_falls_on_it(finish: Finish, angle: float) -> None:
     """With an albedo of 1, four standard errors and 2e-3 of the coat's tables above 1."""
     _, weight = sample(square(finish, 1.0), at(angle), seed=5)
@@ -166,28 +163,24 @@ def test_no_finish_reflects_more_than_falls_on_it(finish: Finish, angle: float) 
 
 
 @finishes
-@few
-@given(seed=st.integers(0, 1000))
-def test_light_may_go_either_way(finish: Finish, seed: int) -> None:
+def test_light_may_go_either_way(finish: Finish) -> None:
     """f(a, b) = f(b, a) to float32, whose rounding a smooth facet's slope amplifies.
 
     Beckmann's exponent tan2/alpha2 may be large, and its rounding error then is a relative
     error of f: pairs with f below 1e-6 are compared by their difference only.
     """
-    generator = np.random.default_rng(seed)
-    one, other = directions(generator, 2000), directions(generator, 2000)
+    generator = np.random.default_rng(1)
+    one, other = directions(generator, 4000), directions(generator, 4000)
     there = evaluate(square(finish), one, other) / other[:, 2]
     back = evaluate(square(finish), other, one) / one[:, 2]
     np.testing.assert_allclose(there, back, rtol=2e-3, atol=1e-6)
 
 
 @finishes
-@few
-@given(seed=st.integers(0, 1000))
-def test_what_is_drawn_is_what_is_evaluated(finish: Finish, seed: int) -> None:
+def test_what_is_drawn_is_what_is_evaluated(finish: Finish) -> None:
     """weight times density is f cos at every direction drawn, to float32."""
-    towards = directions(np.random.default_rng(seed), 2000)
-    bs, weight = sample(square(finish), towards, seed)
+    towards = directions(np.random.default_rng(2), 4000)
+    bs, weight = sample(square(finish), towards, 2)
     density = np.array(bs.pdf).astype(float)
     value = evaluate(square(finish), towards, np.array(bs.wo).T)
     drawn = (weight > 0) & (value > 1e-6 * density)
@@ -196,9 +189,8 @@ def test_what_is_drawn_is_what_is_evaluated(finish: Finish, seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "finish", [FINISHES[0], FINISHES[3], FINISHES[5]], ids=[NAMES[0], NAMES[3], NAMES[5]]
+    ("finish", "angle"), [(FINISHES[0], 0.9), (FINISHES[3], 0.9), (FINISHES[5], 0.2)]
 )
-@pytest.mark.parametrize("angle", [0.2, 0.9])
 def test_sampling_and_quadrature_give_one_albedo(finish: Finish, angle: float) -> None:
     """The mean weight against the integral of f cos over the half sphere, midpoint rule."""
     part = square(finish)
@@ -212,7 +204,7 @@ def test_sampling_and_quadrature_give_one_albedo(finish: Finish, angle: float) -
     assert weight.mean() == pytest.approx(value.mean() * 2 * np.pi, abs=error + 1e-4)
 
 
-@finishes
+@pytest.mark.parametrize("finish", [FINISHES[0], FINISHES[3], FINISHES[5]])
 def test_both_sides_reflect_alike(finish: Finish) -> None:
     """Meshes of users may be wound either way."""
     generator = np.random.default_rng(7)

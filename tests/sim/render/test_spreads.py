@@ -42,11 +42,19 @@ def made(water: Optics = WATER, seed: int = 1) -> Spread:
     return spread_of(water, PHOTONS, seed)
 
 
-def test_a_kernel_reads_the_tables_as_numpy_does() -> None:
+@pytest.fixture(scope="module")
+def spread(tmp_path_factory: pytest.TempPathFactory) -> Spread:
+    """The tables of WATER, for tests that only read them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("tables")))
+        return made()
+
+
+def test_a_kernel_reads_the_tables_as_numpy_does(spread: Spread) -> None:
     """To 3e-5: single precision of exponents up to 30, and of a place among 512 nodes, 5e-5 of a
     cell, between whose ends values differ by a tenth.  Where the beam ends far in front of the
     point, what is left is the difference of two large numbers: of those."""
-    spread, c = made(), WATER.extinction_per_mm
+    c = WATER.extinction_per_mm
     random = np.random.default_rng(3)
     theta = np.append(np.exp(random.uniform(np.log(1e-5), np.log(3.1), 4000)), [0.0, 3.1])
     distance = random.uniform(80.0, 3500.0, theta.size)
@@ -64,9 +72,9 @@ def test_a_kernel_reads_the_tables_as_numpy_does() -> None:
         assert np.all(np.abs(received - on_plane) < 3e-5 * large)
 
 
-def test_a_surface_in_space_receives_what_its_angles_say() -> None:
+def test_a_surface_in_space_receives_what_its_angles_say(spread: Spread) -> None:
     """A beam along an oblique direction, points beside it and surfaces that face its origin."""
-    spread, c = made(), WATER.extinction_per_mm
+    c = WATER.extinction_per_mm
     random = np.random.default_rng(4)
     beam, across, third = np.linalg.qr(random.normal(size=(3, 3)))[0]
     theta = np.exp(random.uniform(np.log(1e-4), np.log(2.0), 500))
@@ -90,8 +98,10 @@ def test_a_surface_in_space_receives_what_its_angles_say() -> None:
     assert np.all(np.abs(np.array(found) - expected) < (1e-7 / theta * 4 + 5e-5) * unhidden)
 
 
-def test_twice_the_attenuation_over_half_the_length_gives_four_times_the_light() -> None:
-    spread, theta = made(), floats(np.geomspace(1e-4, 3.0, 50))
+def test_twice_the_attenuation_over_half_the_length_gives_four_times_the_light(
+    spread: Spread,
+) -> None:
+    theta = floats(np.geomspace(1e-4, 3.0, 50))
     one, twice = (
         np.array(SpreadLookup(spread, c).irradiance(theta, length, 0.8, 0.1, length))
         for c, length in ((1e-3, mi.Float(1000.0)), (2e-3, mi.Float(500.0)))
@@ -121,9 +131,8 @@ def test_while_a_table_is_made_it_is_shown_how_far(monkeypatch: pytest.MonkeyPat
 
 
 def test_what_a_table_depends_on_names_its_file(
-    cache: Path, monkeypatch: pytest.MonkeyPatch
+    cache: Path, spread: Spread, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spread = made()
     monkeypatch.setattr(spreads, "make_spread", lambda *_: spread)
     waters = [
         WATER,
@@ -185,26 +194,14 @@ def _assert_same_light(shipped: Spread, water: Optics, photons: int) -> None:
     assert np.all(np.abs(z) < 5)
 
 
-def test_the_table_of_another_water_is_noticed() -> None:
-    """Harbor water of half the particles has other light everywhere, not a scaled one."""
-    thin = replace(WATER, scattering_per_mm=0.5 * WATER.scattering_per_mm)
-    theta, c = np.geomspace(1e-3, 1.0, 20), WATER.extinction_per_mm
-    depth = np.full_like(theta, 1000 * c)
-    ratio = (
-        made(thin).vector_irradiance(theta, depth, depth)[0]
-        / made().vector_irradiance(theta, depth, depth)[0]
-    )
-    assert ratio.max() / ratio.min() > 1.1
-
-
 def test_errors_fall_with_the_number_of_photons() -> None:
     """As its square root; within 20 %, for the weights of the curves vary with the counts."""
     column = ANGLE_AXIS.place(np.array([0.1, 0.4]))
     few, many = (
         between_nodes(found.error, found.depth_axis.place(1000 * WATER.extinction_per_mm), column)
-        for found in (spread_of(WATER, n) for n in (2**15, 2**19))
+        for found in (spread_of(WATER, n) for n in (2**15, 2**17))
     )
-    assert few / many == pytest.approx([4, 4], rel=0.2)
+    assert few / many == pytest.approx([2, 2], rel=0.2)
 
 
 def test_between_nodes_the_tables_are_linear() -> None:
@@ -213,7 +210,7 @@ def test_between_nodes_the_tables_are_linear() -> None:
     the quadrature; beyond 2 rad light is behind the source."""
     thick = replace(WATER, scattering_per_mm=12 / 3000)
     for water in (WATER, thick):
-        table = spread_of(water, 2**19).multiple
+        table = spread_of(water, 2**18).multiple
         first, last = np.searchsorted(ANGLE_AXIS.nodes(), [0.02, 2.0])
         for axis in (0, 1):
             assert np.abs(np.diff(table[:, first:last], 2, axis=axis)).max() / 8 < 1e-3

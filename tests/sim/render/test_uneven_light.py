@@ -35,6 +35,10 @@ LEANT: dict[str, Any] = {
     "light": {"ambient_w_m2_sr": 0.2},
     "render": {"samples": 64, "scatter_samples": 0},
 }
+SMALL = {
+    "camera": {"width_px": 320, "height_px": 240},
+    "lens": {"focal_px": 425.0, "centre_px": [159.5, 119.5]},
+}
 
 
 def level(places: Floats) -> Floats:
@@ -61,7 +65,7 @@ def floor_light(water: Optics, starts: Floats, along: Floats) -> Floats:
     return np.array(value[0], dtype=float)
 
 
-@pytest.mark.parametrize("turbid", [0.0, 0.5, 5.0])
+@pytest.mark.parametrize("turbid", [0.0, 5.0])
 def test_a_floor_and_the_water_before_it_are_lit_by_the_gradient(turbid: float) -> None:
     """White under L(x) it shows L(x), dimmed, and what the water sends of it: by quadrature."""
     dry = water_optics(tank(water={"kind": "air"}).tank.water, 650.0)
@@ -94,16 +98,16 @@ def leant(**sections: Any) -> Scene:
 
 
 def uneven(**sections: Any) -> list[Scene]:
-    """The leant board under even light, and with the gradient."""
+    """The leant board under even light, and with the gradient, in small pictures."""
     light = {"gradient_per_m": list(GRADIENT), "centre_mm": list(CENTRE_MM)}
-    return [leant(light=some, **sections) for some in ({}, light)]
+    return [leant(light=some, **SMALL, **sections) for some in ({}, light)]
 
 
 def test_gathered_and_sampled_light_of_a_board_go_with_the_gradient() -> None:
     """Without water the picture is the even one's, times the light at what each pixel shows.
 
-    That is within half a pixel, 0.5 mm, of the mark, over which the light differs by 1.5 per metre
-    times 0.5 mm, along rows and along columns; where a mark ends more of one half is bright.
+    That is within half a pixel, 1 mm, of the mark, over which the light differs by 1.5 per metre
+    times 1 mm, along rows and along columns; where a mark ends more of one half is bright.
     """
     scenes = uneven(water={"kind": "air"}, laser={"on": False})
     marks = board_truth(scenes[1]).centres.grid
@@ -116,7 +120,7 @@ def test_gathered_and_sampled_light_of_a_board_go_with_the_gradient() -> None:
         even, lit = (
             Tank(scene, sampled=sampled).render(0.0, 16).ambient[rows, columns] for scene in scenes
         )
-        np.testing.assert_allclose(lit / even, expected, rtol=2e-3)
+        np.testing.assert_allclose(lit / even, expected, rtol=4e-3)
     assert np.ptp(expected) > 0.1
 
 
@@ -132,20 +136,19 @@ def test_the_light_beside_the_line_is_that_of_a_picture() -> None:
     variance = [
         line_brightness(scene, [truth])[0].noise_dn[columns] ** 2 - 1 / 12 for scene in scenes
     ]
-    # Half a pixel, 0.5 mm, off the line's middle the light differs by 1.5 per metre times that.
-    np.testing.assert_allclose(variance[1] / variance[0], lit / even, rtol=2e-3)
+    # Half a pixel, 1 mm, off the line's middle the light differs by 1.5 per metre times that.
+    np.testing.assert_allclose(variance[1] / variance[0], lit / even, rtol=4e-3)
     assert np.ptp(lit / even) > 0.1
 
 
-@pytest.mark.parametrize("bend", [{}, {"bend_x_mm": 4.0}, {"bend_x_mm": -3.0, "bend_z_mm": 4.0}])
-def test_the_line_on_a_bent_board_is_where_the_truth_has_it(bend: dict[str, float]) -> None:
+def test_the_line_on_a_bent_board_is_where_the_truth_has_it() -> None:
     """Centroids of its direct light along columns, as near as on the flat board: 0.01 px rms.
 
     64 samples draw each column of the line on a raster of 1/8 px, and the line is 2 px wide: the
     sums of a Gaussian sampled so are exact.  Its two sides are not seen alike: as in
     test_brightness.py, one side is nearer to laser and camera by 1/900 of its light a mm.
     """
-    scene = leant(board_errors=bend)
+    scene = leant(board_errors={"bend_x_mm": -3.0, "bend_z_mm": 4.0})
     truth = stripe_truth(scene, 0.0)
     columns = np.flatnonzero((truth.status == Status.OK) & (truth.edge_px > 5))
     light = Tank(scene).render(0.0).direct.astype(float)[:, columns]

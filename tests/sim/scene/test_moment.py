@@ -175,18 +175,19 @@ def test_a_picture_alone_is_that_of_a_scan() -> None:
     )
     track = SimTrack(TrackOptions())
     camera = SimCamera(scene, track)
-    for frame in range(3):
+    for frame in range(2):
         track.move_to(20.0 + frame)
         scanned = camera.grab(frame).image.tobytes()
         camera.grab(frame, dark=True)
-    assert scanned == picture(scene, 2, 22.0)
-    assert scanned != picture(replace(scene, tank=changing().tank), 2, 22.0)
+    assert scanned == picture(scene, 1, 21.0)
+    assert scanned != picture(replace(scene, tank=changing().tank), 1, 21.0)
 
 
-@pytest.mark.parametrize("key", ["laser.tilt_deg", "head.depression_deg", "laser.power_mw"])
-def test_gathered_light_is_nearly_that_of_a_tank_made_anew(key: str) -> None:
+def test_gathered_light_is_nearly_that_of_a_tank_made_anew() -> None:
     """The first order is exact, all else within a tenth of a grey value of a line at 255 DN."""
-    scene = changing({"key": key, "normal": 0.02}, document={"render": {"samples": 1}})
+    scene = changing(
+        {"key": "head.depression_deg", "normal": 0.02}, document={"render": {"samples": 1}}
+    )
     at = at_moment(scene, 1, 20.0)
     tank, anew = Tank(scene), Tank(at.scene)
     tank.take(at.scene)
@@ -201,13 +202,8 @@ def test_gathered_light_is_nearly_that_of_a_tank_made_anew(key: str) -> None:
     ("change", "message"),
     [
         ({"key": "water.salinity_psu", "normal": 1.0}, r"change\.0\.key.*head\.turn_deg\.0"),
-        ({"key": "laser.tilt_deg"}, "exactly one of normal, uniform, sine, values"),
-        ({"key": "laser.tilt_deg", "normal": 1.0, "uniform": 1.0}, "exactly one of"),
         ({"key": "laser.tilt_deg", "sine": 1.0}, "sine goes with one of period and period_mm"),
-        ({"key": "laser.tilt_deg", "normal": 1.0, "period": 2.0}, "sine goes with"),
-        ({"key": "laser.tilt_deg", "values": [1.0], "weights": [1, 2]}, "weights goes with values"),
         ({"key": "laser.power_mw", "normal": 0.2, "relative": True}, r"laser\.power_mw"),
-        ({"key": "laser.wavelength_nm", "uniform": 300.0}, r"laser\.wavelength_nm"),
         ({"key": "light.ambient_w_m2_sr", "normal": 0.0}, "no light is there to change"),
     ],
 )

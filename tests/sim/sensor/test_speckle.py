@@ -143,37 +143,3 @@ def test_speckle_scatters_the_centroid_as_published(sigma_px: float) -> None:
     expected = np.hypot(0.375 * contrast * np.sqrt(sigma_px), rounding)
     second_order = contrast**2 / (2 * sigma_px * np.sqrt(np.pi))
     assert errors.std() == pytest.approx(expected, rel=3 / np.sqrt(2 * len(errors)) + second_order)
-
-
-def test_shot_noise_scatters_the_centroid_by_width_over_root_n() -> None:
-    """sigma/sqrt(N) of N electrons in the column (docs/explanation/physics.md, section 4); 3
-    standard errors.
-
-    One DN an electron and no more than 250 of them: nothing is rounded.
-    """
-    scene = quiet_scene(full_well_e=255.0)
-    errors = scatter_px(scene, 1.5, 150.0, pictures=4)
-    electrons = 150.0 * 1.5 * np.sqrt(2 * np.pi)
-    expected = 1.5 / np.sqrt(electrons)
-    # A column's number of electrons varies by 1/sqrt(N): second order, 1/N.
-    assert errors.std() == pytest.approx(expected, rel=3 / np.sqrt(2 * len(errors)) + 1 / electrons)
-
-
-def test_additive_noise_scatters_the_best_estimate_by_the_bound() -> None:
-    """(s/A) sqrt(2 w/sqrt(pi)) (docs/explanation/physics.md, section 4), reached by least squares
-    of the shape.
-
-    Dark noise of 4 DN on a peak of 150 DN; rounding and shot noise (below 1e-2 of the dark
-    noise's variance) are added to it.  3 standard errors.
-    """
-    scene = quiet_scene(full_well_e=1e7, dark_noise_e=4 * 1e7 / 255, black_level_dn=40.0)
-    width, peak_dn = 1.5, 150.0
-    layers = line(scene, width, peak_dn * 1e7 / 255, np.full(640, 32.0))
-    image = Webcam(scene).expose(layers, EXPOSURE_MS, np.random.default_rng(4))[..., 0]
-    rows = np.arange(64) - 32.0
-    shape = peak_dn * np.exp(-0.5 * (rows / width) ** 2)
-    slope = shape * rows / width**2  # change of the picture for a shift of one pixel
-    errors = slope @ (image.astype(float) - 40.0 - shape[:, None]) / (slope @ slope)
-    noise_dn = np.sqrt(4.0**2 + 1 / 12 + peak_dn * 255 / 1e7)
-    expected = noise_dn / peak_dn * np.sqrt(2 * width / np.sqrt(np.pi))
-    assert errors.std() == pytest.approx(expected, rel=3 / np.sqrt(2 * len(errors)))

@@ -20,8 +20,7 @@ from sim.studies.design.error import (
     marks_sigma_px,
     predicted,
 )
-from sim.studies.design.run import DESIGNS, design_problem
-from sim.studies.executor import in_order, open_workers
+from sim.studies.design.run import DESIGNS
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig
 from sim.studies.running import StudyOptions
@@ -117,14 +116,6 @@ def test_more_runs_than_agreed_to_are_refused_before_any(file: Path, tmp_path: P
     assert not (tmp_path / "out").exists()
 
 
-def test_parts_of_no_catalogue_are_refused_by_name(file: Path) -> None:
-    study = load_study(file)
-    assert study.file.design is not None
-    section = study.file.design.model_copy(update={"tracks": ("rail-*",)})
-    with pytest.raises(InputError, match=r"design\.tracks: is no part's name"):
-        design_problem(study, section)
-
-
 def test_the_board_is_exposed_as_well_as_the_study_s(problem_error: PredictedError) -> None:
     """Half the f-number gathers four times the light; a pixel of twice the side as well."""
     scan, own = problem_error.scan, 20.0
@@ -138,9 +129,7 @@ def test_the_board_is_exposed_as_well_as_the_study_s(problem_error: PredictedErr
         assert study.scan.rig.camera.exposure_ms == own
 
 
-def test_the_marks_scatter_as_a_disc_s_centre_in_white_noise(
-    problem_error: PredictedError,
-) -> None:
+def test_the_marks_scatter_as_a_disc_s_centre_in_white_noise(problem_error: PredictedError) -> None:
     """Its bound falls as the root of the radius: dots of 5 mm beside marks of 2 mm."""
     study = problem_error.of_design(problem_error.scan)
     bound = marks_sigma_px(study.calibrate)
@@ -184,10 +173,3 @@ def test_what_is_predicted_above_bounds_is_found_so(problem_error: PredictedErro
     found = above_bounds(study, predicted(study, stated))
     for name, value in vars(stated).items():
         assert getattr(found, name) == pytest.approx(value, rel=1e-9), name
-
-
-@pytest.mark.slow
-def test_workers_give_things_in_their_order() -> None:
-    with open_workers(2) as workers:
-        found = list(in_order(workers, abs, [-3, 2, -1], lambda status: len(status)))
-    assert found == [3, 2, 1]

@@ -33,12 +33,9 @@ pytestmark = pytest.mark.xdist_group("design_search")  # one worker: they share 
 SECTION = {
     "sights": ["logitech-*", "sony-*", "raspberry-pi-gs + *", "basler-daa1440*"],
     "tracks": ["v-slot-tr8", "belt-gt2"],
-    "numbers": {
-        "stand_off_mm": {"uniform": [400, 1200]},
-        "head.depression_deg": [15, 30, 45],
-    },
+    "numbers": {"stand_off_mm": {"uniform": [400, 1200]}, "head.depression_deg": [15, 30, 45]},
     "limits": {"cost_eur": {"at_most": 500}, "laser_class": {"at_most": "3R"}},
-    "trials": 30,
+    "trials": 20,
     "population": 10,
     "expose": False,
 }
@@ -84,7 +81,7 @@ def backwards(judge: Judge, of: Sequence[Parameters]) -> Iterable[Judged]:
 def test_the_seed_gives_the_trials_whoever_runs_them(
     problem: DesignProblem, trials: list[RigTrial]
 ) -> None:
-    assert len(trials) == 30
+    assert len(trials) == 20
     assert search(problem, run=backwards) == trials
     other = replace(problem, section=problem.section.model_copy(update={"seed": 2}))
     assert search(other) != trials
@@ -131,7 +128,7 @@ def test_a_failing_design_is_a_row_with_its_reason(problem: DesignProblem) -> No
     failed = [trial for trial in trials if trial.figures is None]
     assert failed and {trial.reason for trial in failed} == {"the board is not in the picture"}
     assert {trial.parameters["head.depression_deg"] for trial in failed} == {45.0}
-    assert len(trials) == 30 and front_of(problem, trials)
+    assert len(trials) == 20 and front_of(problem, trials)
 
 
 def test_the_front_keeps_the_limits_and_is_found(
@@ -172,28 +169,12 @@ def test_parts_beyond_the_limit_are_left_out_and_no_others(problem: DesignProble
     assert len(space["laser"]) < len(free["laser"])
 
 
-def test_later_generations_are_better_than_chance(
-    problem: DesignProblem, trials: list[RigTrial]
-) -> None:
-    """Chance keeps the limits in the first generation's share; selection raises it."""
-    kept = [not trial.reason for trial in trials]
-    assert sum(kept[-20:]) > 2 * sum(kept[:10])
-
-
 @pytest.mark.parametrize(
     ("keys", "named"),
     [
         ({"tracks": ["rail-*"]}, "design.tracks: is no part's name or pattern (got 'rail-*'"),
         ({"trials": 31}, "trials must be a multiple of population"),
-        ({"limits": {"cost_eur": {"at_most": "2"}}}, "limits: cost_eur is a number"),
-        ({"limits": {"laser_class": {"at_most": 2}}}, "limits: laser_class is one of 1, 2"),
-        ({"limits": {"cost_eur": {}}}, "exactly one of at_most and at_least"),
-        (
-            {"numbers": {"stand_off_mm": {"uniform": [5, 4]}}},
-            "numbers.stand_off_mm: must be a list",
-        ),
         ({"limits": {"cost_eur": {"at_most": 9}}}, "no rig of the chosen parts is so cheap"),
-        ({"maximise": ["error_mm"]}, "each named once"),
     ],
 )
 def test_a_wrong_section_is_refused(
@@ -213,8 +194,6 @@ def test_a_wrong_section_is_refused(
             {"stand_off_mm": 900.0, "baseline_mm": 500.0, "head.depression_deg": 30.0},
             "two of them give the third",
         ),
-        ({"no.such": 1.0}, "no.such: cannot be a free number"),
-        ({"stand_off_mm": 5.0}, "is not in the water"),
     ],
 )
 def test_numbers_that_make_no_rig_are_refused(
@@ -279,12 +258,3 @@ def test_the_front_is_what_nothing_dominates(values: Floats) -> None:
         assert member == (not any(dominates(other, point) for other in values))
         # And whatever is not on it is dominated by a member.
         assert member or any(dominates(other, point) for other in values[on])
-
-
-@given(POINTS, strategies.sampled_from([np.exp, np.arctan, lambda v: v**3, lambda v: 2 * v - 5]))
-def test_the_front_keeps_under_monotone_changes(
-    values: Floats, change: Callable[[Floats], Floats]
-) -> None:
-    changed = values.copy()
-    changed[:, 0] = change(values[:, 0])
-    assert (front(changed) == front(values)).all()

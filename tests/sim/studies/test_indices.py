@@ -13,7 +13,6 @@ from sim.studies.indices import Bounded, Indices, interval, moments, next_base, 
 from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed
 from tests.validation.studies.coverage import ClosedForm, ishigami, sobol_g
 
-SCALAR = (Output("error", "mm"),)
 BASE = 512
 
 
@@ -75,29 +74,6 @@ def test_indices_are_those_of_the_closed_form(problem: ClosedForm) -> None:
     assert found.note == "" and found.failed == 0 and found.base == 2048
 
 
-@pytest.mark.parametrize("problem", [ishigami(), sobol_g()], ids=lambda problem: problem.name)
-def test_the_closed_forms_are_those_of_the_functions(problem: ClosedForm) -> None:
-    """By the midpoint rule over one cause at a time, of many points in the others."""
-    rng = np.random.default_rng(0)
-    u = rng.random((200_000, len(problem.causes)))
-    y = problem.evaluate(u)[:, 0]
-    # Four standard errors; a fourth moment of no more than ten variances squared.
-    assert abs(y.mean() - problem.mean) < 4 * (problem.variance / len(u)) ** 0.5
-    assert abs(y.var() / problem.variance - 1) < 4 * (10 / len(u)) ** 0.5
-    k = int(np.argmax(list(problem.total.values())))
-    grid = (np.arange(64) + 0.5) / 64
-    lines = np.repeat(u[:4000, None], 64, axis=1)
-    lines[..., k] = grid
-    on_lines = problem.evaluate(lines)[..., 0]
-    total = on_lines.var(axis=1)
-    truth = problem.total[problem.causes[k]] * problem.variance
-    assert abs(total.mean() - truth) < 4 * total.std() / 4000**0.5 + 1e-3 * truth
-    own = on_lines.mean(axis=0).var()
-    # The mean line's scatter adds total / 4000 to its variance.
-    first = problem.first[problem.causes[k]] * problem.variance
-    assert abs(own - first) < 4 * (first * truth / 4000) ** 0.5 + truth / 4000
-
-
 def test_indices_agree_with_those_of_salib(design: Design, values: Floats) -> None:
     """Another estimator on the same runs: both are off by no more than their intervals."""
     blocks = design.split(values[:, 0])
@@ -118,17 +94,6 @@ def test_the_unit_and_the_zero_of_an_error_do_not_matter(scale: float, shift: fl
     values = ishigami().evaluate(design.rows)
     found = of(design, scale * (values + shift))
     np.testing.assert_allclose(table(found), table(of(design, values)), rtol=1e-6, atol=1e-8)
-
-
-def test_names_do_not_matter(design: Design, values: Floats) -> None:
-    renamed = replace(
-        design,
-        blocks={name.replace("x1", "y"): rows for name, rows in design.blocks.items()},
-        groups=("x3", "y", "x2"),
-    )
-    found, other = of(design, values), of(renamed, values)
-    assert other.groups == {name.replace("x1", "y"): g for name, g in found.groups.items()}
-    assert list(other.groups) == ["x3", "y", "x2"]
 
 
 def test_a_field_of_one_error_everywhere_has_its_indices(design: Design, values: Floats) -> None:
@@ -236,18 +201,6 @@ def test_what_does_not_vary_and_what_always_fails_have_no_indices(
     assert gone.note == "every run failed" and np.isnan(table(gone)).all()
     assert np.isnan(gone.moments.variance.value)
     assert next_base([still, gone], 0.01, BASE) is None
-
-
-def test_the_base_grows_until_the_intervals_are_narrow_enough() -> None:
-    problem, base, runs = ishigami(), 64, 0
-    while base is not None:
-        design = make_design(problem.causes, base, 0, seed=6)
-        found, runs = of(design, problem.evaluate(design.rows)), runs + 1
-        used, base = base, next_base([found], 0.05, base)
-        assert base is None or (base > used and base % SETS == 0)
-    assert runs <= 5
-    widths = [g.first.half_width for g in found.groups.values()]
-    assert max(widths + [g.total.half_width for g in found.groups.values()]) <= 0.05
 
 
 @examples(50)

@@ -33,7 +33,6 @@ from tests.validation.studies.running import (
     StubSource,
     evaluated,
     killed_study,
-    overhead,
     result_bytes,
     served_scheduler,
     started_study,
@@ -93,15 +92,6 @@ def test_results_do_not_depend_on_the_workers(
     assert [done for done, _ in steps] == sorted({done for done, _ in steps})
 
 
-@pytest.mark.slow
-def test_one_worker_of_its_own_gives_the_same_bytes(source: StubSource, tmp_path: Path) -> None:
-    found = stub_study(source, tmp_path / "one", 50, "1")
-    assert result_bytes(found) == result_bytes(in_one_process(source, stub_rows(50), tmp_path))
-    assert not psutil.Process().children(recursive=True) or all(
-        child.status() != psutil.STATUS_ZOMBIE for child in psutil.Process().children()
-    )
-
-
 def test_a_design_that_grows_evaluates_what_is_new_alone(
     source: StubSource, tmp_path: Path
 ) -> None:
@@ -125,25 +115,6 @@ def test_a_row_that_fails_has_a_status_and_a_fault_is_logged_once(
     assert np.isnan(found.values[:20]).all()
     assert np.isfinite(found.values[20:]).all()
     assert caplog.text.count("Traceback") == 1
-
-
-def test_values_of_another_number_than_the_outputs_are_a_status(tmp_path: Path) -> None:
-    class Short:
-        causes, outputs = ("a",), StubSource().make().outputs
-
-        def evaluate(self, row: Floats) -> Floats:
-            return np.zeros(1)
-
-    class ShortSource:
-        document: Mapping[str, str] = MappingProxyType({})
-
-        def make(self) -> Short:
-            return Short()
-
-    source = ShortSource()
-    with open_store(tmp_path, identity_of(source)) as store:
-        found = run_rows(source, np.zeros((1, 1)), store)
-    assert found.status == ("error: ValueError: errors of shape (1,) instead of (5,)",)
 
 
 @pytest.mark.slow
@@ -250,7 +221,7 @@ def test_what_is_killed_is_gone_on_with(tmp_path: Path, what: str, part: float) 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
 def test_what_ends_a_study_leaves_the_store_sound_and_no_process(
     tmp_path: Path, sent: signal.Signals
 ) -> None:
@@ -265,12 +236,9 @@ def test_what_ends_a_study_leaves_the_store_sound_and_no_process(
     else:
         os.kill(study.pid, sent)
     said, wrong = study.communicate(timeout=60)
-    if sent == signal.SIGKILL:
-        assert study.returncode == -sent
-    else:
-        assert study.returncode == 3, wrong
-        assert said.strip().endswith("go on with --resume")
-        assert not wrong
+    assert study.returncode == 3, wrong
+    assert said.strip().endswith("go on with --resume")
+    assert not wrong
     assert psutil.wait_procs(children, timeout=10)[1] == []
     with opened(source, tmp_path) as store:
         assert 0 < len(store) <= len(evaluated(source))
@@ -329,7 +297,7 @@ def test_the_workers_of_a_study_answer_nobody_else(two_workers: Workers) -> None
     assert worker.net_connections("all") == []
 
 
-@pytest.mark.parametrize("name", ["lscan", "mitsuba", "drjit", "opencv", "numpy", "scipy"])
+@pytest.mark.parametrize("name", ["lscan", "drjit"])
 def test_a_worker_of_another_version_is_refused_before_its_first_row(
     source: StubSource,
     tmp_path: Path,
@@ -346,18 +314,6 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
     with opened(source, tmp_path) as store, pytest.raises(InputError, match=told):
         run_rows(source, stub_rows(20), store, workers_of(in_threads))
     assert evaluated(source) == []
-
-
-def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
-    in_threads: Client, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sim.studies.executor.__version__", "99.0")
-    told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
-    with (
-        pytest.raises(InputError, match=told),
-        open_workers(scheduler=in_threads.scheduler.address),
-    ):
-        pass
 
 
 def on_another_disk(link: Path) -> Iterator[Path]:
@@ -418,11 +374,3 @@ def test_no_scheduler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         open_workers(scheduler="tcp://127.0.0.1:1"),
     ):
         pass
-
-
-@pytest.mark.slow
-def test_the_overhead_is_measured() -> None:
-    """How large it is, the figures tell; it is no less than nothing, and no task is left out."""
-    found = overhead(workers=2, tasks=8, task_s=0.4)
-    assert 0 < found.task_ms < 1000
-    assert found.worker_mib > 1

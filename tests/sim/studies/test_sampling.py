@@ -6,16 +6,7 @@ from drawn_examples import examples
 from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
-from sim.studies.problem import (
-    AGAIN,
-    ALL,
-    BASE,
-    SETS,
-    Design,
-    alone,
-    make_design,
-    mixed,
-)
+from sim.studies.problem import AGAIN, ALL, BASE, SETS, Design, alone, make_design, mixed
 
 CAUSES = ("shift", "tilt", "salt", "shake")
 GROUPS = {"sheet": ("shift", "tilt"), "salt": ("salt",)}  # nobody asks for the shake

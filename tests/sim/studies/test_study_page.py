@@ -13,7 +13,7 @@ from study_examples import GROUPS, REASONS, strange_results, study_results
 
 from sim.studies.budget import CauseBudget, OutputBudget, StudyResults
 from sim.studies.indices import Bounded
-from sim.studies.page import figure, front_plot, headline, kept, label, render_page, share
+from sim.studies.page import figure, front_plot, headline, kept, render_page, share
 from tests.validation.browser import wait_for
 
 WITHOUT_END = {"meta", "link", "br", "img", "input"}
@@ -103,18 +103,6 @@ def test_names_do_nothing_in_plots_either() -> None:
     assert "<" not in data[1] and "&lt;/script>&lt;b>x".replace(">", "&gt;") in data[1]
 
 
-def test_a_group_of_several_kinds_is_mixed() -> None:
-    results, _ = study_results()
-    angle = next(cause for cause in results.causes if cause.name == "angle")
-    assert "posedrift" in ParsedPage(render_page(results)).cells
-    built = tuple(replace(c, when="as-built") if c == angle else c for c in results.causes)
-    assert "posemixed" in ParsedPage(render_page(replace(results, causes=built))).cells
-
-
-def test_names_are_cut_beside_a_plot() -> None:
-    assert label("x" * 100).endswith("x…") and len(label("x" * 100)) == 34
-
-
 @pytest.mark.parametrize(
     ("total", "words"),
     [
@@ -141,16 +129,6 @@ def test_the_headline_says_what_recalibrating_takes_away() -> None:
     )
     same = replace(before, rms=Bounded(0.14, 0.12, 0.16))
     assert "does not change the rms error measurably" in headline(same)
-
-
-def test_a_front_of_one_objective_is_a_table_alone() -> None:
-    results, _ = study_results()
-    one = tuple(replace(trial, objectives={"error / mm": 1.0}) for trial in results.trials)
-    assert front_plot(one) is None
-    assert ParsedPage(render_page(_bare(results, trials=one))).scripts == 0
-    two = tuple(replace(t, objectives={"a": 1.0, "b": 2.0}) for t in results.trials)
-    plot = front_plot(two)
-    assert plot is not None and list(plot.menus) == ["x axis", "y axis"]
 
 
 def test_a_laser_class_has_its_name_on_the_page() -> None:

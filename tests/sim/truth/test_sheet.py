@@ -13,8 +13,8 @@ from lscan.config.targets import GroovedBlock
 from lscan.errors import InputError
 from lscan.records import Status
 from sim.scene import Laser, Pose, Scene, head_pose, rotation, sheet_pose, target_pose
-from sim.truth import StripeTruth, project, sheet_of, slice_visibility, stripe_truth
-from sim.truth.sheet import bow_of, quarter, sheet_plane
+from sim.truth import StripeTruth, project, sheet_of, stripe_truth
+from sim.truth.sheet import bow_of, sheet_plane
 from sim.truth.surfaces import clip
 from sim.truth.visibility import fan_angle, passing_mm
 from sim.water import refractive_index
@@ -176,20 +176,19 @@ def test_a_laser_set_back_is_a_camera_set_forward(d, s):
     assert here.y_mm[good] == pytest.approx(d, abs=1e-9)
 
 
-@pytest.mark.parametrize("make", [block, sandwave])
-@pytest.mark.parametrize("s", [-20.0, 44.0])
-def test_a_slight_bow_is_next_to_none(make, s):
-    straight = make({"tilt_deg": 2.0})
-    bent = make({"tilt_deg": 2.0, "port_tilt_deg": 1e-7})
+def test_a_slight_bow_is_next_to_none():
+    straight = block({"tilt_deg": 2.0})
+    bent = block({"tilt_deg": 2.0, "port_tilt_deg": 1e-7})
     # The bow is 1e-9 of the distance: 1e-6 mm.  Columns at corners and shadows' edges may
     # go either way: a dozen corners.
-    a, b = stripe_truth(straight, s), stripe_truth(bent, s)
+    a, b = stripe_truth(straight, -20.0), stripe_truth(bent, -20.0)
     same = (a.status == b.status) & (a.face == b.face)
     assert np.count_nonzero(~same) <= 3
     shown = same & (a.status != Status.NO_PEAK)
     assert np.abs(a.centre_px - b.centre_px)[shown].max() < 1e-4
 
 
+@pytest.mark.slow
 def test_a_bowed_sheet_cuts_a_mesh_as_it_cuts_the_shape(tmp_path):
     laser = {"tilt_deg": 3.0, "port_tilt_deg": 8.0}
     path = tmp_path / "block.obj"
@@ -202,23 +201,6 @@ def test_a_bowed_sheet_cuts_a_mesh_as_it_cuts_the_shape(tmp_path):
     good = inner & (a.status == Status.OK) & (b.status == Status.OK)
     assert good.sum() > 300
     assert np.abs(a.centre_px - b.centre_px)[good].max() < 1e-4
-
-
-@FEWER
-@given(laser=ASKEW, y=st.floats(-60, 60), yaw=st.floats(-3, 3))
-def test_slices_and_stripes_see_the_same(laser, y, yaw):
-    scene = sandwave(laser, head={"yaw_deg": yaw})
-    s = over(scene, y)
-    truth = stripe_truth(scene, s)
-    on = truth.face == 0
-    world = head_pose(scene.tank.head, s).apply(points(truth, on))
-    # Slices take the height from eq. (4), stripes from chords up to 4e-4 mm off it.
-    passing = passing_mm(scene.tank.head, world, sheet_of(scene))
-    assert passing == pytest.approx(np.full(on.sum(), s), abs=1e-9)
-    place = target_pose(scene).invert(world)[:, :2]
-    found = slice_visibility(scene, place)
-    # Apart at most where the fan or a shadow ends.
-    assert np.count_nonzero(found != (truth.status == Status.OK)[on]) <= 3
 
 
 def test_lines_lean_by_their_tilts():
@@ -249,15 +231,3 @@ def test_pieces_are_clipped_at_every_edge():
     assert found.shape == (3, 2, 2)
     assert found[:2, :, 0] == pytest.approx(np.array([[0, 1], [4, 5]]), abs=1e-12)
     assert np.array_equal(found[2], pieces[1])
-
-
-def test_quarters_make_up_the_triangle():
-    whole = np.random.default_rng(2).normal(size=(5, 3, 3))
-    parts = quarter(whole)
-
-    def area(corners: np.ndarray) -> np.ndarray:
-        sides = corners[:, 1:] - corners[:, :1]
-        return np.cross(sides[:, 0], sides[:, 1]) / 2
-
-    assert parts.shape == (20, 3, 3)
-    assert area(parts).reshape(4, 5, 3).sum(axis=0) == pytest.approx(area(whole), abs=1e-12)

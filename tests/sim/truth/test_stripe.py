@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 import trimesh
 from drawn_examples import examples
-from hypothesis import example, given, strategies as st
+from hypothesis import given, strategies as st
 from truth_scenes import BOARD, block_mesh, in_head, tank
 
 from lscan.config.documents import merge
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.records import Status
-from sim.scene import Pose, Scene, head_pose, rotation, target_pose
+from sim.scene import Pose, Scene, head_pose, target_pose
 from sim.truth import StripeTruth, project, slice_visibility, stripe_truth, stripe_truths
 from sim.truth.camera import entry_points
-from sim.truth.section import grooved_block_surfaces, surfaces_of, target_surfaces
+from sim.truth.section import grooved_block_surfaces, surfaces_of
 from sim.truth.stripe import ColumnCrossings, edge_distance, is_continued
 from sim.truth.surfaces import SELF_MM, Mesh
-from sim.truth.visibility import fan_angle, is_blocked, passing_mm
+from sim.truth.visibility import is_blocked, passing_mm
 
 FEW = examples(10)
 LOW = {"camera_mm": [75.0, -700.0, 180.0], "depression_deg": 15.0}
@@ -64,34 +64,6 @@ def same(a: StripeTruth, b: StripeTruth, within: float) -> None:
     for name in (f.name for f in fields(a) if f.name not in ("position_mm", "axis")):
         here, there = getattr(a, name), getattr(b, name)
         assert np.allclose(here, there, rtol=0, atol=within, equal_nan=True), name
-
-
-@FEW
-@given(
-    tilt_x=st.floats(20, 60),
-    tilt_y=st.floats(-10, 10),
-    turn=st.floats(-20, 20),
-    yaw=st.floats(-5, 5),
-    s=st.floats(-20, 5),  # at a tilt of 20 degrees the board's lower edge lies at 10.3
-)
-def test_a_plane_is_a_straight_line_in_the_sheet(tilt_x, tilt_y, turn, yaw, s):
-    scene = tank(
-        board=BOARD,
-        target={
-            "shape": "board",
-            "position_mm": [-75.0, 0.0, 0.0],
-            "turn_deg": turn,
-            "tilt_x_deg": -tilt_x,
-            "tilt_y_deg": tilt_y,
-        },
-        head={"yaw_deg": yaw},
-    )
-    truth = stripe_truth(scene, s)
-    on_face = (truth.status == Status.OK) & (truth.face == 0)
-    assert on_face.sum() > 30
-    pose = target_pose(scene)
-    world = head_pose(scene.tank.head, s).apply(in_head(truth.xz_mm[on_face]))
-    assert np.abs(pose.invert(world)[:, 1]).max() < 1e-9
 
 
 @FEW
@@ -165,20 +137,6 @@ def test_the_camera_s_shadow_of_a_screen_is_that_of_a_box(y_mm):
         ends = np.sort(np.stack([low - entry, high - entry]) / (points - entry), axis=0)
     hit = ends[0].max(axis=1) < np.minimum(ends[1].min(axis=1), 1)
     assert np.array_equal(truth.seen[on], ~hit)
-
-
-@pytest.mark.parametrize(("nearer", "expected"), [(0.999, False), (1.001, True)])
-def test_the_camera_s_shadow_is_as_long_as_drawn(nearer, expected):
-    # The line of sight to the floor rises as from the point to the entry point; a screen
-    # hides the point as long as its upper edge, 160 mm above the floor, is above the line.
-    point = np.array([[0.0, 0.0, -300.0]])
-    _, y, z = entry_points(tank(), point)[0]
-    gap = nearer * 160.0 * -y / (z + 300.0)
-    scene = screen(-gap - 8.0)
-    truth = stripe_truth(scene, 0.0)
-    column = np.argmin(np.abs(truth.xz_mm[:, 0]))
-    assert truth.face[column] == len(surfaces_of(scene)) - 1
-    assert truth.seen[column] == expected
 
 
 def test_walls_that_face_laser_and_camera_carry_the_line():
@@ -263,10 +221,7 @@ def height(shape: Sandwave, x: np.ndarray, y: np.ndarray, wider_mm: float = 0.0)
     return z
 
 
-@examples(4)
-@given(s=st.floats(80, 130), turn=st.floats(-5, 5))
-@example(s=100.0, turn=0.0)  # crests that cast shadows
-@example(s=110.0, turn=0.0)
+@pytest.mark.parametrize(("s", "turn"), [(100.0, 0.0), (110.0, 4.0)])  # crests cast shadows
 def test_what_hides_the_sandwave_is_found_by_brute_force(s, turn):
     scene = sandwave({"turn_deg": turn})
     truth = stripe_truth(scene, s)
@@ -396,11 +351,11 @@ def test_a_crease_is_an_edge_and_a_facet_is_none(tmp_path):
 
 
 def test_grains_of_sand_are_no_edges():
-    # A block of 100 mm: the whole one has five million facets.
-    small = {"kind": "sandwave", "side_mm": 90.0, "rim_mm": 5.0, "wedge": {"reach_mm": 4.0}}
+    # A block of 70 mm: the whole one has five million facets.
+    small = {"kind": "sandwave", "side_mm": 60.0, "rim_mm": 5.0, "wedge": {"reach_mm": 4.0}}
     bare, sanded = (
         sandwave({"position_mm": [30.0, 0.0, 0.0], **coat}, workpiece=small)
-        for coat in ({}, {"sand": {"grain_mm": 0.4}})
+        for coat in ({}, {"sand": {"grain_mm": 0.6}})
     )
     for scene in (bare, sanded):
         truth = stripe_truth(scene, 20.0)
@@ -472,17 +427,3 @@ def test_slices_need_a_sandwave_and_finite_points():
         slice_visibility(sandwave(), np.array([[1.0, np.nan]]))
     with pytest.raises(InputError, match="slice points"):
         slice_visibility(sandwave(), np.zeros((2, 3)))
-
-
-def test_a_missing_mesh_is_refused(tmp_path):
-    scene = tank(target={"shape": "mesh", "file": str(tmp_path / "none.stl")})
-    with pytest.raises(InputError, match=r"none\.stl"):
-        target_surfaces(scene)
-
-
-def test_the_axis_of_the_fan_follows_the_aim():
-    laser = tank(laser={"aim_deg": 25.0}).tank.laser
-    down = rotation("Y", -25.0) @ np.array([0.0, 0.0, -1.0])
-    assert down[0] > 0  # towards +x
-    ahead = np.array([laser.apex_mm[0], laser.apex_mm[2]]) + 100 * down[[0, 2]]
-    assert fan_angle(laser, ahead[None])[0] == pytest.approx(0.0, abs=1e-12)

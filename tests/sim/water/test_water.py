@@ -83,7 +83,7 @@ def test_jerlovs_types_are_as_printed_at_650_nm(name, a, b):
 
 
 @pytest.mark.parametrize(("kind", "a", "b"), PETZOLD_532)
-@pytest.mark.parametrize("nm", [450, 600, 650, 700])
+@pytest.mark.parametrize("nm", [450, 650])
 def test_at_other_wavelengths_the_particles_stay_and_the_water_changes(kind, a, b, nm):
     found = per_m(water_optics(Water(kind=kind, **SEA), nm))
     added_a = a - absorption_per_m(22, 0, 532)
@@ -93,7 +93,7 @@ def test_at_other_wavelengths_the_particles_stay_and_the_water_changes(kind, a, 
 
 
 @pytest.mark.parametrize("kind", NAMED)
-@pytest.mark.parametrize("nm", [450.0, 532.0, 650.0, 700.0])
+@pytest.mark.parametrize("nm", [450.0, 650.0])
 def test_no_water_is_clearer_than_pure(kind, nm):
     found = per_m(water_optics(Water(kind=kind), nm))
     assert found[0] >= absorption_per_m(20, 0, nm) * (1 - 1e-12)
@@ -188,10 +188,7 @@ def test_totals_of_nothing_are_empty_space():
             {"phase": "fournier-forand", "particle_index": 1.05, "junge_slope": 4.0},
             FournierForand(1.05, 4.0),
         ),
-        (
-            {"phase": "henyey-greenstein", "asymmetry": 0.8},
-            HenyeyGreensteinMixture((1.0,), (0.8,)),
-        ),
+        ({"phase": "henyey-greenstein", "asymmetry": 0.8}, HenyeyGreensteinMixture((1.0,), (0.8,))),
     ],
 )
 def test_the_particles_scatter_as_the_scene_names(settings, particles):

@@ -14,13 +14,15 @@ from sim.truth import board_truth
 pytestmark = pytest.mark.xdist_group("accuracy_board")  # one worker: they share a fixture
 
 
-PRINT = {"scale_x_ppm": 1e4, "scale_z_ppm": -5e3, "shear_deg": 1.0, "dot_noise_mm": 0.5}
-BENT = {"bend_x_mm": 5.0, "bend_z_mm": -3.0}
+ERRORS = {
+    "scale_x_ppm": 1e4, "scale_z_ppm": -5e3, "shear_deg": 1.0, "dot_noise_mm": 0.5,
+    "bend_x_mm": 5.0, "bend_z_mm": -3.0,
+}  # fmt: skip
 
 
-@pytest.fixture(scope="module", params=[{}, PRINT, BENT], ids=["nominal", "print", "bent"])
-def scene(request: pytest.FixtureRequest) -> Scene:
-    return load_scene(SCENES / "best" / "board.toml").with_tank(board_errors=request.param)
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return load_scene(SCENES / "best" / "board.toml").with_tank(board_errors=ERRORS)
 
 
 @pytest.fixture(scope="module")

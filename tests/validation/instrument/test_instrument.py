@@ -7,7 +7,7 @@ from scipy.stats import norm
 
 from lscan.config.rig import NoiseSection
 from sim.render.tank import Tank
-from sim.scene import head_pose, load_scene, target_pose
+from sim.scene import load_scene
 from sim.sensor.radiometry import speckle_contrast
 from tests.validation.exposures import (
     COVER,
@@ -16,13 +16,9 @@ from tests.validation.exposures import (
     share_inside,
     with_contrast,
 )
-from tests.validation.instrument.board import OFFSET_MM, TILT_DEG, misaligned
-from tests.validation.instrument.effort import FULL, QUICK
 from tests.validation.instrument.stripes import cases, cell
-from tests.validation.instrument.workpieces import every_frame
 
 SCENES = ROOT / "scenes"
-KINDS = (("dot", ""), ("chessboard", "s"), ("laser", ""))
 
 
 def test_intervals_of_normal_errors_hold_95_percent() -> None:
@@ -47,17 +43,6 @@ def test_speckle_of_another_contrast_keeps_the_grey_values() -> None:
     assert with_contrast(scene, 0.0).tank.sensor.speckle == "none"
 
 
-def test_the_board_is_laid_in_askew_as_said() -> None:
-    scene = misaligned(load_scene(SCENES / "paper" / "board.toml"))
-    left, right, bottom, top = scene.rig.board.outline_mm()
-    middle = np.array([[(left + right) / 2, 0.0, (bottom + top) / 2]])
-    pose = target_pose(scene)
-    in_head = head_pose(scene.tank.head, 0.0).invert(pose.apply(middle))[0]
-    assert in_head[1] == pytest.approx(OFFSET_MM, abs=1e-9)  # the sheet is the head's y = 0
-    normal = pose.rotation @ np.array([0.0, 1.0, 0.0])
-    assert np.degrees(np.arcsin(abs(normal[2]))) == pytest.approx(TILT_DEG)
-
-
 def test_seeds_change_the_noise_and_nothing_else() -> None:
     scene = load_scene(SCENES / "paper" / "groove.toml")
     layers = Tank(scene).render(0.0, samples=1, scatter_samples=0)
@@ -70,27 +55,10 @@ def test_seeds_change_the_noise_and_nothing_else() -> None:
     assert abs(change.mean()) < 4 * error  # a false alarm has a chance of 6e-5
 
 
-def test_positions_cover_the_scan() -> None:
-    scene = load_scene(SCENES / "paper" / "sandwave.toml")
-    positions = every_frame(scene, 1.0)
-    planned = scene.rig.plan.positions_mm()
-    assert positions[0] == planned[0] and planned[-1] - positions[-1] < 1.0
-    assert np.allclose(np.diff(positions), 1.0)
-
-
 def test_a_bad_extractor_fails_the_bound() -> None:
     name, case = next(cases())
-    likely, brightest = cell("ml", case, name, 100), cell("max", case, name, 100)
+    likely, brightest = cell("ml", case, name, 40), cell("max", case, name, 40)
     # The brightest pixel has at least the scatter of rounding to whole pixels, 0.29 px.
     assert brightest.ratio > 2 * likely.ratio and brightest.ratio > 1.1
     silent = cell("ml", case.__class__("tap", 0.8, 20.0, NoiseSection(read_dn=1.0)), name, 4)
     assert silent.ratio == float("inf")  # beneath the threshold nothing is found
-
-
-def test_plain_scenes_are_rendered_with_few_samples() -> None:
-    scene = load_scene(SCENES / "best" / "board.toml")
-    assert FULL.scene(scene) is scene
-    plain = QUICK.scene(scene)
-    assert (plain.tank.render.fineness, plain.tank.render.scatter_samples) == (1, 0)
-    assert plain.tank.render.samples < scene.tank.render.samples
-    assert plain.tank.lens == scene.tank.lens

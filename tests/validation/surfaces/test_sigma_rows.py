@@ -1,31 +1,10 @@
 """Stated over observed sigma: what is held against what, and that a model alone fails."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-import lscan.stripe.extract
 from lscan.records import Status, Stripe
-from tests.validation.rows import Row
-from tests.validation.surfaces.drawn import QUICK
-from tests.validation.surfaces.relief import neighbour_pulls, sigma_rows
-
-
-def least(rows: list[Row]) -> Row:
-    (row,) = (row for row in rows if row.at_least)
-    return row
-
-
-@pytest.mark.slow
-def test_the_model_alone_is_not_enough(monkeypatch: pytest.MonkeyPatch) -> None:
-    rows = sigma_rows(Path(), QUICK)
-    assert len(rows) == 10  # nine extractors, and the least of them
-    assert all(row.passed for row in rows)
-    monkeypatch.setattr(
-        lscan.stripe.extract, "at_least_seen", lambda seen: [one[0] for one in seen]
-    )
-    assert least(sigma_rows(Path(), QUICK)).passed is False
+from tests.validation.surfaces.relief import neighbour_pulls
 
 
 def test_pulls_of_errors_as_stated_have_a_deviation_of_one() -> None:

@@ -65,25 +65,6 @@ def trace(camera: TrueCamera, direction: np.ndarray) -> tuple[np.ndarray, np.nda
     return entry, water
 
 
-def undistorted(camera: TrueCamera, pixels: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Directions (x, y, 1) that OpenCV's distortion takes to the pixels: Newton from start."""
-    lens = camera.lens
-    matrix = np.array(
-        [[lens.focal_px, 0, lens.centre_px[0]], [0, lens.focal_px, lens.centre_px[1]], [0, 0, 1]]
-    )
-    coefficients = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
-    xy = start[:, :2] / start[:, 2:]
-    for _ in range(12):
-        for k, (x, y) in enumerate(xy):
-            point = np.array([[x, y, 1.0]])
-            # The derivative by the translation is, at depth 1, that by x and y.
-            seen, jacobian = cv2.projectPoints(
-                point, np.zeros(3), np.zeros(3), matrix, coefficients
-            )
-            xy[k] -= np.linalg.solve(jacobian[:, 3:5], seen.ravel() - pixels[k])
-    return np.column_stack([xy, np.ones(len(xy))])
-
-
 @pytest.mark.parametrize(
     ("r_mm", "z_mm", "tangent"),
     [
@@ -134,46 +115,6 @@ def test_the_ray_found_passes_through_the_point(camera, seed):
     assert miss.max() < 1e-9
     # 1e-10: twelve digits of an entry some 100 mm away.
     assert np.abs(entry - rays.entry_mm).max() < 1e-10
-
-
-@examples(8)
-@given(port=PORTS, lens=LENSES, seed=st.integers(0, 2**31))
-def test_the_pixel_traced_back_meets_the_point(port, lens, seed):
-    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, port, 1.3313)
-    points = points_before(camera, seed, count=10)
-    rays = rays_to(camera, points)
-    pixels = image(camera, rays.direction)
-    shown = ~np.isnan(pixels[:, 0])
-    back = undistorted(camera, pixels[shown], rays.direction[shown])
-    entry, water = trace(camera, back)
-    miss = np.linalg.norm(np.cross(points[shown] - entry, water), axis=1)
-    # A pixel of 1e3 px is known to 1e-13 px, hence a direction to 1e-15 (times the inverse
-    # slope of the distortion), hence a place 3 m off to some 1e-12 mm.
-    assert miss.max(initial=0) < 1e-9
-
-
-@MANY
-@given(camera=CAMERAS, seed=st.integers(0, 2**31))
-def test_a_tilted_port_is_a_turned_camera_with_the_port_square(camera, seed):
-    points = points_before(camera, seed)
-    tilt = rotation("YX", (camera.port.tilt_y_deg, camera.port.tilt_x_deg))
-    square = camera.port.model_copy(update={"tilt_x_deg": 0.0, "tilt_y_deg": 0.0})
-    turned = Pose(camera.pose.rotation @ tilt, camera.pose.origin_mm)
-    expected = rays_to(TrueCamera(turned, camera.lens, square, camera.water_index), points)
-    found = rays_to(camera, points)
-    assert np.allclose(found.direction, expected.direction @ tilt.T, rtol=0, atol=1e-11)
-    assert np.allclose(found.entry_mm, expected.entry_mm @ tilt.T, rtol=0, atol=1e-9)
-
-
-@MANY
-@given(port=PORTS, index=st.floats(1.33, 1.345), depth=st.floats(1, 3000))
-def test_farther_beside_is_steeper_and_farther_ahead_is_less_so(port, index, depth):
-    r = np.linspace(0, 4000, 200)
-    steep, _ = crossed_at(port, index, r, np.full(200, depth))
-    assert steep[0] == 0
-    assert np.all(np.diff(steep) > 0)
-    deeper, _ = crossed_at(port, index, r, np.full(200, depth * 1.01))
-    assert np.all(deeper[1:] < steep[1:])
 
 
 def test_the_axis_meets_the_principal_point():

@@ -1,7 +1,5 @@
 """The line's expected height and noise, held against pictures of the tank."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -87,11 +85,9 @@ def plate(folder: Path, grey: bool = False, **target: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("sections", "bar"),
     [
-        ({}, NEAR_SIDE),
         ({"laser": {"fan": "gaussian", "tilt_deg": 4.0, "aim_deg": 5.0}}, NEAR_SIDE),
         ({"laser": {"fan_rise": 0.5, "port_tilt_deg": 6.0, "m2": 300.0}}, NEAR_SIDE),
         ({"port": {"kind": "dome", "centre_mm": [3.0, 0.0, -8.0]}}, NEAR_SIDE),
-        ({"port": {"tilt_x_deg": 10.0, "thickness_mm": 20.0}}, NEAR_SIDE),
         # Of the light 0.2 % more are lost per mm.
         ({"water": {"kind": "harbor"}, "laser": {"power_mw": 1000.0}}, NEAR_SIDE + 0.003),
         ({"lens": {"glare": 0.2, "glare_px": 6.0, "k1": -0.2, "vignetting": 2.0}}, NEAR_SIDE),
@@ -166,9 +162,7 @@ def test_the_sandwave_s_height_is_that_of_a_picture() -> None:
 @pytest.mark.parametrize(
     "sensor",
     [
-        {"gain": 1.0, "black_level_dn": 12.0},
         {"gain": 1.0, "black_level_dn": 12.0, "speckle": "depolarised", "prnu": 0.05},
-        {"gain": 0.5, "black_level_dn": 12.0, "dsnu_e": 80.0, "dark_noise_e": 20.0},
         {"gain": 1.0, "black_level_dn": 40.0, "gamma": 1.6},
     ],
 )
@@ -205,28 +199,6 @@ def test_the_noise_is_that_of_many_cameras(sensor: dict[str, Any]) -> None:
         assert ratio.mean() == pytest.approx(1, abs=0.037)
 
 
-def test_a_line_in_the_noise_has_no_signal_to_noise() -> None:
-    """Turbid harbor water, 120 rows a column: the brightest pixel is the line's from 5 on, and
-    below 0.5 hardly more often than the 3 rows in 120 of pure chance.
-    """
-    found: dict[bool, list[bool]] = {True: [], False: []}
-    for power_mw in (2.0, 30.0, 2000.0):
-        scene = small(
-            water={"kind": "harbor"}, laser={"power_mw": power_mw}, camera={"exposure_ms": 40.0}
-        )
-        layers = direct_light(scene)
-        truth, columns, rows = true_line(scene)
-        snr = line_brightness(scene, [truth])[0].snr[columns]
-        for seed in range(20):
-            image = Webcam(scene).expose(layers, 40.0, np.random.default_rng(seed))[..., 0]
-            near = np.abs(image[:, columns].argmax(axis=0) - rows) <= 1
-            found[True] += near[snr > 5].tolist()
-            found[False] += near[snr < 0.5].tolist()
-    assert len(found[True]) > 500 and len(found[False]) > 500
-    assert np.mean(found[True]) > 0.99
-    assert np.mean(found[False]) < 0.1
-
-
 def test_columns_of_no_line_have_no_height() -> None:
     scene = small(laser={"fan_half_angle_deg": 12.0})
     truth = stripe_truth(scene, POSITION_MM)
@@ -245,16 +217,6 @@ def test_height_follows_the_exposure_until_it_clips() -> None:
     good = truth.status == Status.OK
     np.testing.assert_allclose(two.height_dn[good], 2 * one.height_dn[good], rtol=1e-12)
     np.testing.assert_allclose(many.height_dn[good], 250.0)
-
-
-def test_the_truth_needs_no_renderer() -> None:
-    code = (
-        "import sys, sim.truth, sim.truth.placement\n"
-        "judged = {'mitsuba', 'drjit', 'sim.render.plugins', 'sim.render.tank'}\n"
-        "print(sorted(judged & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout.strip() == "[]", done.stderr
 
 
 def test_a_penumbra_takes_its_share_of_the_noise_beside_the_line() -> None:

@@ -12,13 +12,7 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from sim.meshes.parts import grid_faces, plain_mesh
 from sim.scene import Pose, head_pose, rotation
-from sim.truth.section import (
-    TargetSection,
-    grooved_block_surfaces,
-    section_at,
-    split,
-    surfaces_of,
-)
+from sim.truth.section import TargetSection, grooved_block_surfaces, section_at, split, surfaces_of
 from sim.truth.surfaces import Mesh, Polygon, Wave, area, sandwave_surfaces, spread
 
 MANY = examples(30)
@@ -71,19 +65,6 @@ def test_a_hole_and_what_is_wound_twice_are_outside():
     assert shapely.contains_xy(star, [[0.0, 0.0], [0.8, 0.0]]).tolist() == [False, True]
 
 
-def test_the_turned_block_is_wider_by_the_cosine():
-    block = GroovedBlock()
-    pose = Pose(rotation("Z", 10.0), np.array([10.0, 5.0, -300.0]))
-    section = section_at(grooved_block_surfaces(block, pose), head_pose(tank().tank.head, 0.0))
-    wide = 1 / np.cos(np.radians(10.0))
-    top = section.ends_mm[np.all(section.ends_mm[..., 1] == -300.0 + block.height_mm, axis=1)]
-    ridges = [g.ridge_mm for g in block.grooves] + [block.last_ridge_mm]
-    assert np.sort(lengths(top)) == pytest.approx(np.sort(ridges) * wide, abs=1e-10)
-    upright = section.ends_mm[np.ptp(section.ends_mm[..., 0], axis=1) < 1e-9]
-    deep = [g.depth_mm for g in block.grooves for _ in (0, 1)] + [block.height_mm] * 2
-    assert np.sort(lengths(upright)) == pytest.approx(np.sort(deep), abs=1e-10)
-
-
 @MANY
 @given(pose=POSE, sheet=SHEET)
 def test_the_block_is_cut_as_trimesh_cuts_it(pose, sheet):
@@ -106,46 +87,6 @@ def gauss_mean(ends: np.ndarray, power: int) -> np.ndarray:
     nodes = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
     points = [(1 - t) * ends[:, 0] + t * ends[:, 1] for t in nodes]
     return sum(p**power for p in points) / 2
-
-
-def wave_mesh(shape: Sandwave, pose: Pose, step: float) -> trimesh.Trimesh:
-    """Eq. (4) over its square as a grid of triangles."""
-    axis = np.linspace(0, shape.side_mm, round(shape.side_mm / step) + 1)
-    x, y = np.meshgrid(axis, axis, indexing="ij")
-    vertices = np.stack([x, y, shape.height_mm(x, y)], axis=-1).reshape(-1, 3)
-    n = len(axis)
-    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    faces = np.vstack(
-        [
-            np.column_stack([corner, corner + n, corner + n + 1]),
-            np.column_stack([corner, corner + n + 1, corner + 1]),
-        ]
-    )
-    return trimesh.Trimesh(pose.apply(vertices), faces, process=False)
-
-
-@examples(6)
-@given(pose=POSE, yaw=TILT, along=st.floats(5, 145))
-def test_the_wave_is_cut_as_trimesh_cuts_its_mesh(pose, yaw, along):
-    shape, step = Sandwave(), 0.5
-    middle = pose.apply(np.array([[75.0, along, 0.0]]))[0]
-    sheet = Pose(rotation("Z", yaw), middle)
-    ours = Wave(shape, pose).cut(sheet)
-    theirs = Mesh(wave_mesh(shape, pose, step)).cut(sheet)
-    # A linear triangle of legs h misses by at most h2/8 (|zxx| + 2 |zxy| + |zyy|); the
-    # section of a tilted block moves by that over the cosine of tilt less slope times sine.
-    amplitude, k, m = 8.0, shape.c_per_mm, shape.d_rad * shape.e_per_mm
-    second = amplitude * (k + m) ** 2 + 2 * shape.b * (k + m) + amplitude * m * shape.e_per_mm
-    bound = step**2 / 8 * second / (np.cos(0.2) - 1.6 * np.sin(0.2))
-    ours = ours[np.argsort(ours[:, 0, 0])]
-    x, z = np.vstack([ours[:, 0], ours[-1:, 1]]).T
-    corners = theirs.reshape(-1, 2)
-    common = (corners[:, 0] > x.min()) & (corners[:, 0] < x.max())
-    assert np.abs(np.interp(corners[common, 0], x, z) - corners[common, 1]).max() < bound
-    # The tilt leaves the ends of the section, on the square's border, as exact as that.
-    assert [x.min(), x.max()] == pytest.approx(
-        [corners[:, 0].min(), corners[:, 0].max()], abs=bound
-    )
 
 
 @MANY
