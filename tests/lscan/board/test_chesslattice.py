@@ -1,5 +1,7 @@
 """Which corners are the board's: slivers at the rim, rows skipped, chance, order of pictures."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ CORNERS_MM = SQUARE_MM * np.stack(
 )
 
 
+@cache
 def drawn(view: DrawnView = VIEW, slivers: tuple[float, ...] = NO_SLIVERS, seed: int = 1) -> Bytes:
     left, right, top, bottom = slivers
     edges = (left, right, top, bottom)
