@@ -114,6 +114,7 @@ def test_exact_marks_give_an_exact_map(view: View) -> None:
     hold_to_the_truth(view)
 
 
+@pytest.mark.slow
 def test_exact_marks_nearly_square_to_the_board() -> None:
     """One degree from square the fit converges slowly: it takes 171 evaluations."""
     view = View(
