@@ -7,7 +7,7 @@ import report_examples as examples
 from chromium import Chromium
 from playwright.sync_api import Page
 
-pytestmark = pytest.mark.xdist_group("live_page")
+pytestmark = [pytest.mark.xdist_group("live_page"), pytest.mark.slow]
 PHONE = (390, 844)
 TABLES = """[...document.querySelectorAll("table")].map(table => {
   const box = table.parentElement;

@@ -202,7 +202,13 @@ for source in ({"url": url}, {"device": device}, {"file": __file__}):
 """
 
 
-@pytest.mark.parametrize(("asked", "speaks"), [({}, False), ({"OPENCV_LOG_LEVEL": "INFO"}, True)])
+@pytest.mark.parametrize(
+    ("asked", "speaks"),
+    [
+        ({}, False),
+        pytest.param({"OPENCV_LOG_LEVEL": "INFO"}, True, marks=pytest.mark.slow),
+    ],
+)
 def test_the_libraries_write_nothing_of_their_own(
     tmp_path: Path, asked: dict[str, str], speaks: bool
 ) -> None:

@@ -21,9 +21,9 @@ from lscan.measure.shapes import (
 )
 from lscan.records import Floats
 
-SEEDS = 100
+SEEDS = 40
 BAND = 3 * np.sqrt(0.95 * 0.05 / SEEDS)
-"""Three standard deviations of the share of SEEDS intervals that hold the truth: 0.065."""
+"""Three standard deviations of the share of SEEDS intervals that hold the truth: 0.10."""
 
 Start = Callable[[Floats], FittedShape]
 

@@ -187,6 +187,17 @@ def _without_scripts(text: str) -> str:
     return re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
 
 
+def test_every_table_is_in_a_box_that_scrolls(page):
+    """What that gives on a phone, tests/system/test_report_page.py sees in a browser."""
+    boxes = re.findall(
+        r'<div class="scroll" tabindex="0" role="region" [^>]*><table>|"><table class="checks">',
+        page.text,
+    )
+    assert len(boxes) == page.text.count("<table") > 3
+    assert re.search(r"\.scroll \{[^}]*overflow-x: auto;", page.text)
+    assert re.search(r"#surface \{[^}]*aspect-ratio: 4 / 3;", page.text)
+
+
 def test_ids_are_unique_and_links_lead_somewhere(page):
     assert len(set(page.ids)) == len(page.ids)
     assert {load[1:] for load in page.loads if load.startswith("#")} <= set(page.ids)

