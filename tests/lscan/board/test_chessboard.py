@@ -5,13 +5,11 @@ from functools import cache
 import cv2
 import numpy as np
 import pytest
-from places import PHOTOGRAPHS
 
 from lscan.board.chessboard import read_charuco, read_chessboard
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Bytes, Floats
 
-DATA = PHOTOGRAPHS / "webcam"
 TURN = np.deg2rad(7.0)
 SIDE = 40.0  # px
 
@@ -84,30 +82,6 @@ def test_sigma_of_a_corner_grows_in_slanting_light() -> None:
     assert error > 0.05  # above what the drawing does
     # The shift grows a little faster than that by the squares' blur: a tenth to either side.
     assert 0.65 <= float(np.mean(marks.sigma_px)) / error <= 0.81
-
-
-def photographs() -> list[Bytes]:
-    paths = sorted(DATA.glob("frame*.jpg"))
-    if not paths:
-        pytest.skip("the photographs are not here")
-    return [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)) for path in paths]
-
-
-@pytest.mark.slow
-def test_sixteen_photographs_calibrate_a_webcam() -> None:
-    """One of 1,056 corners is left out: a narrower window moves it by 7.6 standard deviations of
-    what it does to the others of its picture, which 6 allow; the next largest is 2.9."""
-    pictures = photographs()
-    found = [read_chessboard(picture, 11, 6, 25.0) for picture in pictures]
-    assert len(found) == 16 and sum(int((~marks.found).sum()) for marks in found) <= 1
-    flat = [
-        np.column_stack([m.board_mm, np.zeros(len(m.found))])[m.found].astype(np.float32)
-        for m in found
-    ]
-    seen = [m.image_px[m.found].astype(np.float32) for m in found]
-    height, width = pictures[0].shape
-    rms = cv2.calibrateCamera(flat, seen, (width, height), None, None)[0]
-    assert rms <= 0.225  # OpenCV's plain route on the same pictures
 
 
 def charuco(squares_down: int = 5, legacy: bool = False) -> Bytes:
