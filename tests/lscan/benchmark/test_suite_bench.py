@@ -2,7 +2,6 @@
 
 import json
 import re
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -318,14 +317,7 @@ def test_the_command_refuses_what_does_not_fit(suite, tmp_path, capsys):
     refused(call(capsys, *options, "--suite", suite, "--by", "colour"), "no such axis")
 
 
-class Threads(ThreadPoolExecutor):
-    """In place of processes, which take seconds to begin."""
-
-    def __init__(self, count, *_):
-        super().__init__(count)
-
-
-@pytest.mark.parametrize("pool", [Threads, pytest.param(None, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("pool", [suite_cases.Threads, pytest.param(None, marks=pytest.mark.slow)])
 def test_several_processes_judge_as_one_does(suite, monkeypatch, pool):
     """All but the seconds."""
     if pool is not None:

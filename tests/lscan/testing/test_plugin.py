@@ -194,8 +194,8 @@ def test_the_mark_names_one_suite(package: Path, mark: str, code: int) -> None:
 
 
 def test_readers_and_maps_are_held_against_a_baseline(package: Path) -> None:
-    """Pictures without a board: a reader finds nothing, and is no worse the next time; a baseline
-    in which it found all is not reached, and the command to look closer is that of boards."""
+    """Pictures without a board: a reader finds nothing; a baseline in which it found all is not
+    reached, and the command to look closer is that of boards."""
     (package.parent / "boards").mkdir()
     board_suite(package.parent / "boards", 12)
     (package / "tests" / "test_boards.py").write_text(
@@ -206,8 +206,6 @@ def test_readers_and_maps_are_held_against_a_baseline(package: Path) -> None:
     )
     suite = ["--lscan-suite", str(package.parent / "boards"), "-k", "reader or map"]
     assert run(package, *suite, "--lscan-update")[0] == 0
-    code, said = run(package, *suite)
-    assert code == 0 and "2 passed" in said
     for name in ("reader", "map"):
         file = package / "tests" / f"{name}.json"
         content = json.loads(file.read_text())
