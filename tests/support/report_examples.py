@@ -321,7 +321,7 @@ def without_drawing() -> Iterator[None]:
     """Pages have empty figures and are made in a tenth of the time."""
     rows = _rows()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(style, "svg", lambda figure, key, alt: "<svg></svg>")
+        patch.setattr(style, "svg", lambda figure, key, alt: '<svg role="img"></svg>')
         patch.setattr(picturefigures, "row_fits", lambda board: rows)
         yield
 

@@ -318,7 +318,7 @@ def change_value(data: st.DataObject, content: Any) -> None:
         content[key] = value
 
 
-@examples(280)
+@examples(140)
 @given(data=st.data())
 def test_a_changed_calibration_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

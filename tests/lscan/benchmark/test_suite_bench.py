@@ -158,7 +158,13 @@ def test_a_bias_of_half_a_pixel_is_said(suite):
         suite_rows(run, ["colour"])
 
 
-@pytest.mark.parametrize("mutant", MUTANTS)
+QUICK = ("half_off", "sigma_halved", "every_tenth_lost")
+
+
+@pytest.mark.parametrize(
+    "mutant",
+    [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in MUTANTS],
+)
 def test_a_mutation_is_noticed(suite, saved, mutant):
     worse = compare_saved(run_suite(str(suite), {"extractor": [_named(mutant)]}), saved)
     assert MUTANTS[mutant] in {one.figure for one in worse if one.worse}, worse

@@ -25,7 +25,7 @@ def worst_px(reading: BoardReading, view: View) -> float:
     return float(np.nanmax(np.abs(reading.grid.image_px - view.image_px(reading.grid.board_mm))))
 
 
-@pytest.mark.parametrize("roll_deg", [45.0, 180.0, 270.0])
+@pytest.mark.parametrize("roll_deg", [45.0, pytest.param(180.0, marks=pytest.mark.slow), 270.0])
 def test_the_other_marks_determine_which_way_up_the_board_is(roll_deg: float) -> None:
     view = View(distance_mm=1200.0, roll_rad=np.deg2rad(roll_deg))
     reading = read_board(render(PAPER, view, FAIR, seed=1), PAPER)

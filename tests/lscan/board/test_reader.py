@@ -164,6 +164,7 @@ def test_a_transposed_board_gives_a_transposed_reading() -> None:
     np.testing.assert_allclose(lattice.reshape(-1, 2), one.grid.image_px, atol=2 * GROUND_PX)
 
 
+@pytest.mark.slow
 @given(shake=st.lists(st.floats(-0.22, 0.22), min_size=6, max_size=6))
 @examples(8)
 def test_rough_seeds_by_hand_give_the_automatic_reading(
@@ -206,7 +207,9 @@ def test_hidden_dots_are_reported_and_the_others_keep_their_index() -> None:
     assert np.sqrt(np.nanmean(miss**2)) <= RMS_PX
 
 
-@pytest.mark.parametrize("shift", [(150.0, 90.0), (-150.0, -90.0)])
+@pytest.mark.parametrize(
+    "shift", [(150.0, 90.0), pytest.param((-150.0, -90.0), marks=pytest.mark.slow)]
+)
 def test_a_board_partly_out_of_view_keeps_its_indices(shift: tuple[float, float]) -> None:
     # Moved right and down its upper left corner is seen, moved left and up its lower right.
     view = View(shift_px=shift)
@@ -265,6 +268,7 @@ def test_the_file_of_another_board_is_refused(paper: tuple[View, Bytes, BoardRea
         read_board(paper[1], other)
 
 
+@pytest.mark.slow
 def test_marks_under_dirt_do_not_speak_against_the_board(
     paper: tuple[View, Bytes, BoardReading],
 ) -> None:
@@ -308,6 +312,7 @@ def test_no_board(what: str) -> None:
         read_board(NO_BOARD[what], PAPER)
 
 
+@pytest.mark.slow
 def test_a_chessboard_is_no_board_of_many_dots() -> None:
     dense = load_board(SUPPORT / "dot-photograph.toml")
     with pytest.raises(BoardNotFound, match=r"\w+ \w+ \w+"):

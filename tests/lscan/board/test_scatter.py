@@ -86,7 +86,8 @@ def _mosaic(image):
 
 
 @pytest.mark.parametrize("change", [
-    lambda image: image, lambda image: _coded(image, 60), _mosaic,
+    pytest.param(lambda image: image, marks=pytest.mark.slow),
+    lambda image: _coded(image, 60), _mosaic,
 ], ids=["raw", "JPEG 60", "Bayer"])  # fmt: skip
 def test_sigma_is_the_scatter_of_a_changed_picture(change):
     """Over three pictures: chi squared of 600 coordinates scatters by 6 % of itself, but of what a

@@ -25,7 +25,7 @@ def big_dots(diameter_mm: float) -> boards.Board:
     return PLAIN.model_copy(update={"grid": grid})
 
 
-@pytest.mark.parametrize("diameter_mm", [10.0, 20.0])
+@pytest.mark.parametrize("diameter_mm", [10.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_big_dots_in_strong_perspective_have_no_bias(diameter_mm: float) -> None:
     # The bar is 0.005 px; rounding to 1/255 is left out, the drawn edges are good to 1/8 px
     # in each of some 30 and more pixels of the rim.
@@ -51,7 +51,7 @@ def across_the_ring(view: View, reading: BoardReading, name: str) -> Floats:
     return (length - ring.diameter_mm / 2) / steepness
 
 
-@pytest.mark.parametrize("blur_px", [0.5, 1.0])
+@pytest.mark.parametrize("blur_px", [0.5, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_rings_are_not_drawn_inwards_by_blur(blur_px: float) -> None:
     reading = read_board(expected_dn(PAPER, VIEW, Light(blur_px=blur_px), PARTS), PAPER)
     for ring in PAPER.ring:
@@ -103,6 +103,7 @@ def squares(image_px: list[Floats], sigma_px: list[Floats]) -> Floats:
     return (away**2 / sigma[:, seen, None] ** 2).ravel() * len(points) / (len(points) - 1)
 
 
+@pytest.mark.slow  # sigma is the scatter, above
 def test_more_noise_is_more_sigma() -> None:
     expected = expected_dn(PLAIN, VIEW, Light(), PARTS)
     sigma = [

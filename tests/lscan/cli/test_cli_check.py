@@ -153,6 +153,7 @@ def test_check_says_how_to_correct_and_does(
     assert not (tmp_path / "none.json").exists()
 
 
+@pytest.mark.slow  # test_carry.py refuses it by the map
 def test_check_takes_a_picture_to_the_water_that_a_file_states(
     pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -337,6 +337,7 @@ def _outcomes(seed: int) -> list[str]:
     return outcomes
 
 
+@pytest.mark.slow  # each fault has a test above
 def test_random_faults_end_in_a_right_picture_or_a_clear_error() -> None:
     outcomes = [_outcomes(seed) for seed in range(SEQUENCES)]
     errors = sum(each[-1] == "error" for each in outcomes)

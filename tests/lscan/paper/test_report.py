@@ -90,6 +90,12 @@ def whole() -> Experiment:
 
 @pytest.fixture(scope="module")
 def page() -> Page:
+    """The page, its figures without drawings."""
+    return Page(examples.undrawn(examples.both_chains()))
+
+
+@pytest.fixture(scope="module")
+def drawn() -> Page:
     return Page(examples.rendered())
 
 
@@ -172,7 +178,9 @@ def test_page_has_the_counterpart_of_every_figure(page):
     assert page.text.count("<figcaption>") == len(page.figures)
 
 
-def test_page_loads_nothing_from_outside(page):
+@pytest.mark.slow
+def test_page_loads_nothing_from_outside(drawn):
+    page = drawn
     assert page.loads
     assert all(load.startswith(("#", "data:image/")) for load in page.loads)
     assert not {"link", "iframe", "object", "embed", "base", "form"} & set(page.tags)
@@ -198,13 +206,16 @@ def test_every_table_is_in_a_box_that_scrolls(page):
     assert re.search(r"#surface \{[^}]*aspect-ratio: 4 / 3;", page.text)
 
 
-def test_ids_are_unique_and_links_lead_somewhere(page):
+@pytest.mark.slow  # of a figure, test_figures.py says it
+def test_ids_are_unique_and_links_lead_somewhere(drawn):
+    page = drawn
     assert len(set(page.ids)) == len(page.ids)
     assert {load[1:] for load in page.loads if load.startswith("#")} <= set(page.ids)
 
 
-def test_page_is_small_enough_to_send(page):
-    assert len(page.text.encode()) < 12e6
+@pytest.mark.slow
+def test_page_is_small_enough_to_send(drawn):
+    assert len(drawn.text.encode()) < 12e6
 
 
 def test_head_names_scene_versions_seconds_and_what_passed(page, whole):

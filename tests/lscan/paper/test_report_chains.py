@@ -38,7 +38,7 @@ def both() -> Experiment:
 
 @pytest.fixture(scope="module")
 def page() -> str:
-    return examples.rendered()
+    return examples.undrawn(examples.both_chains())
 
 
 def captions(text: str) -> list[str]:

@@ -193,6 +193,7 @@ def test_the_mark_names_one_suite(package: Path, mark: str, code: int) -> None:
     assert ("4 passed" in said) if code == 0 else ("takes the name of one suite" in said)
 
 
+@pytest.mark.slow  # test_board_judging.py judges readers and maps by the command
 def test_readers_and_maps_are_held_against_a_baseline(package: Path) -> None:
     """Pictures without a board: a reader finds nothing; a baseline in which it found all is not
     reached, and the command to look closer is that of boards."""

@@ -284,6 +284,7 @@ def test_pictures_of_the_views_are_written_where_asked(tmp_path: Path) -> None:
     assert used.line_used and on_line == used.points_found
 
 
+@pytest.mark.slow
 def test_a_camera_is_kept_and_used_for_a_later_sheet(tmp_path: Path) -> None:
     """The boards without lines give the camera; two poses with lines then give the sheet."""
     path = write_pictures(tmp_path)
@@ -337,7 +338,7 @@ def test_a_spoilt_camera_file_is_refused(tmp_path: Path) -> None:
         load_camera(tmp_path / "a.json")
 
 
-@pytest.mark.parametrize("kept", [3, 8])
+@pytest.mark.parametrize("kept", [pytest.param(3, marks=pytest.mark.slow), 8])
 def test_a_board_of_which_little_is_left_is_a_fault_of_its_view(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:

@@ -199,6 +199,7 @@ def test_the_background_named_is_the_one_subtracted(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again[1].line.image_px, views[1].line.image_px)
 
 
+@pytest.mark.slow
 def test_a_line_that_is_not_there_is_a_fault_of_its_view(tmp_path: Path) -> None:
     _, boards = found(tmp_path, "chessboard", "background")
     dark = picture(

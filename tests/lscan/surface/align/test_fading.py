@@ -97,6 +97,7 @@ def test_covariance_is_the_scatter_of_repeats() -> None:
     assert (np.abs(np.mean(found, axis=0)) < 4 * stated / np.sqrt(40)).all()
 
 
+@pytest.mark.slow  # a search ends with a step of zero, below
 def test_noise_keeps_no_search_going_to_and_fro(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search comes to rest: twice as many rounds move nothing beyond SETTLED_MM a round.
 
