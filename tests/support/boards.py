@@ -9,12 +9,15 @@ Only the truth needs an iteration.  None of the instrument's code is used.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 
+from lscan.board import read_board
 from lscan.config.board import Board
-from lscan.records import Bytes, Floats
+from lscan.errors import LscanError
+from lscan.records import BoardReading, Bytes, Floats
 
 PARTS = 4  # per fine pixel and direction: the edge of a dot is placed to about 0.01 px
 FINE = 2  # fine pixels in a pixel's side: the lens blurs before the sensor samples
@@ -148,6 +151,23 @@ def _shade(size: tuple[int, int], light: Light) -> Floats:
     along = u * np.cos(light.toward_rad) + v * np.sin(light.toward_rad)
     along /= np.abs(along).max()
     return light.ratio ** (-(along + 1) / 2)
+
+
+_READINGS: dict[tuple[bytes, str, str], BoardReading | LscanError] = {}
+
+
+def read_once(image: Bytes, board: Board, **options: Any) -> BoardReading:
+    """The reading of ``read_board``, which is asked once for each picture, board and options."""
+    key = image.tobytes(), board.model_dump_json(), repr(options)
+    if key not in _READINGS:
+        try:
+            _READINGS[key] = read_board(image, board, **options)
+        except LscanError as error:
+            _READINGS[key] = error
+    found = _READINGS[key]
+    if isinstance(found, LscanError):
+        raise found
+    return found
 
 
 Beyond = Callable[[Floats], Floats]

@@ -263,7 +263,7 @@ def test_a_bench_of_nothing_is_refused(tmp_path: Path) -> None:
         (blind, {"found"}),
         (one_pixel_off, {"bias"}),
         (too_sure, {"sigma"}),
-        (now_and_then, {"scatter", "outliers"}),
+        pytest.param(now_and_then, {"scatter", "outliers"}, marks=pytest.mark.slow),
     ],
 )
 def test_an_extractor_of_no_use_fails(

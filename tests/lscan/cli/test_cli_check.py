@@ -32,8 +32,9 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``auto`` with three quick candidates and one that does not exist."""
+    """``auto`` with three quick candidates and one that does not exist; pictures are read once."""
     monkeypatch.setattr(auto, "CANDIDATES", ("spline", "polynomial-4", "projective", "nothing"))
+    monkeypatch.setattr("lscan.cli.inputs.read_board", boards.read_once)
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from boards import read_once
 from command_line import call, refused
 from drawn_runs import board_run, flat_run
 from typer.testing import CliRunner
@@ -25,6 +26,11 @@ from lscan.surface.alignment import save_alignment
 pytestmark = pytest.mark.xdist_group("measure")  # one worker: they share a fixture
 
 Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(autouse=True)
+def _read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lscan.pipeline.read_board", read_once)
 
 
 @pytest.fixture(scope="module")

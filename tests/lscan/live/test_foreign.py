@@ -141,6 +141,7 @@ def with_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page
         yield page
 
 
+@pytest.mark.slow  # the cookies and the address, test_server.py and test_access.py have
 def test_the_token_leaves_the_address_bar_and_the_history(
     chromium: Chromium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

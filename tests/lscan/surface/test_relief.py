@@ -59,8 +59,8 @@ def scan(height: Floats, noise_mm: float, generator: np.random.Generator) -> Sur
 
 def rough(generator: np.random.Generator, rms_mm: float = 0.4) -> Relief:
     """A bed whose amplitude spectrum falls with the wavenumber, from 100 mm down to 3 mm."""
-    wavenumber = np.exp(generator.uniform(np.log(0.01), np.log(0.33), 80))
-    phase = generator.uniform(0, 2 * np.pi, 80)
+    wavenumber = np.exp(generator.uniform(np.log(0.01), np.log(0.33), 200))
+    phase = generator.uniform(0, 2 * np.pi, 200)
     amplitude = rms_mm * np.sqrt(2 * wavenumber**-1.2 / (wavenumber**-1.2).sum())
 
     def relief(y: Floats) -> Floats:

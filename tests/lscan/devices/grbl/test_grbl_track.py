@@ -113,6 +113,7 @@ class TestTrackOnATerminal(TestGrblTrack):
             track.close()
 
 
+@pytest.mark.slow
 class TestMarlinOnATerminal(TestTrackOnATerminal):
     name = "marlin track on"
     kind = MarlinEmulator
