@@ -38,7 +38,6 @@ from tests.validation.browser import wait_for
 pytestmark = pytest.mark.xdist_group("live_page")  # one worker: they share a fixture
 
 GUIDE = ROOT / "docs" / "howto" / "use-the-live-page.md"
-OUT = ROOT / "out" / "live"
 
 # What marks the overlay in the picture: its colours are far from the red of the laser line.
 # Each is [x, y] of the canvas's pixels with the colour, to within what blending leaves.
@@ -921,36 +920,4 @@ def test_what_is_reached_by_tab_is_not_under_the_bar(phone: Page, instrument: In
     assert {"10", "target", "resume", "stop"} <= reached
 
 
-@pytest.mark.slow
-def test_screenshots_are_kept(page: Page, phone: Page, instrument: Instrument) -> None:
-    resize(phone, 360, 740)
-    for name in ("stripe", "board", "scanning"):
-        mode = "board" if name == "board" else "stripe"
-        instrument.state["mode"] = mode
-        instrument.scan_is("scanning" if name == "scanning" else "idle")
-        for device, shown in {"desktop": page, "phone": phone}.items():
-            wait_for(shown, f"document.body.dataset.mode === '{mode}'")
-            after_pictures(shown, 2)
-            path = OUT / f"{device}-{name}.png"
-            shown.screenshot(path=path, full_page=device == "phone")
-            assert path.stat().st_size > 10_000
-    page.emulate_media(color_scheme="dark")
-    page.evaluate("new Promise((go) => setTimeout(go, 200))")
-    page.screenshot(path=OUT / "desktop-dark.png")
-
-
 # ---- the browser itself -----------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_errors_of_a_page_are_listed_once(chromium: Chromium) -> None:
-    page = chromium.page
-    chromium.take_errors()
-    page.goto("data:text/html,<script>console.error('a', 1); lost.x</script>")
-    assert chromium.take_errors() == ["a 1", "ReferenceError: lost is not defined"]
-    assert chromium.take_errors() == []
-    page.goto("data:text/html,<img src=http://127.0.0.1:9/lost.png>")
-    [lost] = chromium.take_errors()
-    assert "net::ERR_" in lost and lost.endswith("http://127.0.0.1:9/lost.png")
-    page.goto("about:blank")
-    chromium.take_errors()
