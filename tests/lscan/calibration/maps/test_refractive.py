@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import Phase, assume, given, strategies as st
-from planeviews import View, affine, board_points, paper_board, read_board, with_noise
+from planeviews import View, board_points, paper_board, read_board, with_noise
 from scipy.spatial import Delaunay
 
 from lscan import camera as optics
@@ -20,7 +20,6 @@ from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.calibration.maps import refractive as refractivefit
 from lscan.calibration.maps.refractive import NAMES, Refractive, solver
 from lscan.calibration.physical import SHARE, change_modes
-from lscan.calibration.planemap import find_solver
 from lscan.camera.posedboards import CENTRE_WIDTHS, FOCAL_WIDTHS
 from lscan.config.rig import OpticsSection, SinceSection
 from lscan.errors import BoardNotFound, InputError
@@ -441,14 +440,6 @@ def test_too_few_marks() -> None:
         solver.solve(read_board(BOARD, View().project, missing=missing), "")
 
 
-def test_a_single_row_is_no_board() -> None:
-    missing = np.ones((10, 10), dtype=bool)
-    missing[3] = False
-    reading = replace(read_board(BOARD, View().project, missing=missing.ravel()), rulers=())
-    with pytest.raises(BoardNotFound):
-        solver.solve(reading, "")
-
-
 def test_marks_that_fit_no_view() -> None:
     """Places drawn at random, and the board seen in a mirror."""
     reading = read_board(BOARD, View().project)
@@ -488,11 +479,6 @@ def test_knowledge_that_explains_no_mark(key: str, value: float) -> None:
     known = PAPER_LENS.model_copy(update={key: (value, 0.0)})
     with pytest.raises(BoardNotFound):
         solver.solve(read_board(BOARD, View().project), "", known)
-
-
-def test_unknown_variant() -> None:
-    with pytest.raises(InputError, match="allowed"):
-        find_solver("refractive-2").solve(read_board(BOARD, affine))
 
 
 # --- files ---------------------------------------------------------------------------------
