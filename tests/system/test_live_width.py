@@ -53,6 +53,7 @@ def limits() -> dict[str, float]:
     return {name.strip(): float(value) for name, value in pairs}
 
 
+@pytest.mark.slow
 def test_a_line_of_good_width_is_found_best(limits: dict[str, float]) -> None:
     """Within the limits an error is at most half as much again as the least there is.
 

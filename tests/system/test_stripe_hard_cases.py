@@ -104,8 +104,10 @@ def pulls(stripes, truth):
     [
         "clear",
         "saturated",
-        "two lines",
-        *(pytest.param(case, marks=pytest.mark.slow) for case in ("harbor", "dark", "mirror")),
+        *(
+            pytest.param(case, marks=pytest.mark.slow)
+            for case in ("two lines", "harbor", "dark", "mirror")
+        ),
     ],
 )
 def test_never_a_wrong_number_with_a_small_sigma(case, extractor):

@@ -261,7 +261,7 @@ def test_a_bench_of_nothing_is_refused(tmp_path: Path) -> None:
     [
         (constant_row, {"scatter", "outliers"}),
         (blind, {"found"}),
-        (one_pixel_off, {"bias"}),
+        pytest.param(one_pixel_off, {"bias"}, marks=pytest.mark.slow),
         (too_sure, {"sigma"}),
         pytest.param(now_and_then, {"scatter", "outliers"}, marks=pytest.mark.slow),
     ],

@@ -158,7 +158,7 @@ def test_a_bias_of_half_a_pixel_is_said(suite):
         suite_rows(run, ["colour"])
 
 
-QUICK = ("half_off", "sigma_halved", "every_tenth_lost")
+QUICK = ("half_off", "sigma_halved")
 
 
 @pytest.mark.parametrize(

@@ -319,6 +319,7 @@ def test_a_chessboard_is_no_board_of_many_dots() -> None:
         read_board(NO_BOARD["chessboard"], dense)
 
 
+@pytest.mark.slow
 def test_a_board_with_dots_of_another_size(paper: tuple[View, Bytes, BoardReading]) -> None:
     with pytest.raises(BoardNotFound):
         read_board(paper[1], with_grid(PAPER, dot_diameter_mm=25.0))

@@ -87,7 +87,8 @@ def _mosaic(image):
 
 @pytest.mark.parametrize("change", [
     pytest.param(lambda image: image, marks=pytest.mark.slow),
-    lambda image: _coded(image, 60), _mosaic,
+    lambda image: _coded(image, 60),
+    pytest.param(_mosaic, marks=pytest.mark.slow),
 ], ids=["raw", "JPEG 60", "Bayer"])  # fmt: skip
 def test_sigma_is_the_scatter_of_a_changed_picture(change):
     """Over three pictures: chi squared of 600 coordinates scatters by 6 % of itself, but of what a

@@ -84,6 +84,7 @@ def test_blur_that_was_corrected_for_is_not_divided_out_again(surface_file, tmp_
     refused(call(capsys, "roughness", corrected, "--blur", 1.4), "--pixel", "0.7 px")
 
 
+@pytest.mark.slow  # test_linereading.py has what a rig says
 def test_a_rig_says_what_is_averaged_over(surface_file, tmp_path, capsys):
     """Its pixels are the points' distance; it is of surfaces in the head's frame."""
     head = tmp_path / "head.nc"

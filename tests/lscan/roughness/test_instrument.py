@@ -93,6 +93,7 @@ def test_rough_ground_alone_has_no_ripples() -> None:
     assert sum(find_ripples(whole(z, CELL_CM)) is not None for z in fields) <= 4
 
 
+@pytest.mark.slow  # rough ground alone, above
 def test_what_a_scanner_smooths_has_no_ripples() -> None:
     """Directions in which little is passed make the others stand out, and noise where nothing is:
     as many false trains as in rough ground alone, once the response is told."""

@@ -27,7 +27,7 @@ def field(seed: int) -> Patch:
     return patch(drawn(law, seen.shape, CELL_CM, seed)[0], seen, CELL_CM)
 
 
-@pytest.mark.parametrize("gamma2", [2.4, 3.9])
+@pytest.mark.parametrize("gamma2", [2.4, pytest.param(3.9, marks=pytest.mark.slow)])
 def test_the_periodogram_has_its_expectation(gamma2: float) -> None:
     """With a tenth of the cells missing, in every quarter of the band and in all of it.
 

@@ -116,7 +116,7 @@ def test_the_response_is_that_of_the_integral() -> None:
 # --- the spectrum -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("wave_mm", [4.0, 10.0])
+@pytest.mark.parametrize("wave_mm", [pytest.param(4.0, marks=pytest.mark.slow), 10.0])
 def test_what_the_series_leaves_of_a_wave_is_stated(wave_mm: float) -> None:
     """Of small waves at one wavenumber; where they are long the scan's few of them blur it."""
     x, y = np.meshgrid(np.arange(-5.0, 5.0, 0.25), np.arange(0.0, 60.0, 0.25))
@@ -281,6 +281,7 @@ def test_a_sheet_far_thicker_than_a_profile_s_step(row_mm: float) -> None:
     assert np.isfinite(moved.xyz_mm).all() and np.isfinite(moved.sigma_z_mm).all()
 
 
+@pytest.mark.slow  # smooth targets are left to the series above
 def test_kinks_of_a_smooth_target_are_left_to_the_series() -> None:
     """A ridge no steeper than a slope may be has a wide spectrum, and no fine relief around it."""
     generator = np.random.default_rng(7)

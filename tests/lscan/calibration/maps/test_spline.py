@@ -50,7 +50,7 @@ def test_within_the_bar_on_any_view(view: View) -> None:
     assert (distance <= np.maximum(0.10, 5 * answer.sigma_mm[valued].max(axis=1))).all()
 
 
-@pytest.mark.parametrize("noise_px", [TANK_NOISE_PX, 0.2])
+@pytest.mark.parametrize("noise_px", [TANK_NOISE_PX, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_better_than_any_one_order_and_than_the_paper(noise_px: float) -> None:
     """Smoothing picks its flexibility from the data; an order fits one noise level."""
     rivals = ("polynomial-3", "polynomial-5", "graticule-2", "projective")

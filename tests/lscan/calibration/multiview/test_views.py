@@ -139,7 +139,10 @@ def files(kind: str, way: str) -> dict[str, bytes]:
     return drawn | {"views.toml": text.encode()}
 
 
-@pytest.mark.parametrize(("kind", "way"), [("charuco", "same"), ("chessboard", "background")])
+@pytest.mark.parametrize(
+    ("kind", "way"),
+    [pytest.param("charuco", "same", marks=pytest.mark.slow), ("chessboard", "background")],
+)
 def test_board_and_line_are_where_they_are(tmp_path: Path, kind: str, way: str) -> None:
     views, boards = found(tmp_path, kind, way)
     assert [view.fault for view in views] == [""] * POSES
@@ -166,6 +169,7 @@ def test_board_and_line_are_where_they_are(tmp_path: Path, kind: str, way: str) 
         assert (view.line.sigma_px > 0).all()
 
 
+@pytest.mark.slow  # test_files.py has it by the command, of a chessboard
 def test_the_sheet_comes_out_of_a_printed_board(tmp_path: Path) -> None:
     """As test_files.py has it out of a chessboard."""
     views, _ = found(tmp_path, "charuco", "pair")
