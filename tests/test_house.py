@@ -90,6 +90,7 @@ def test_the_contracts_notice(broken_contracts: dict[str, str], contract: str, s
     assert said in broken_contracts[contract]
 
 
+@pytest.mark.slow  # the import contracts above say the same of what is written
 def test_no_lscan_module_loads_the_tank() -> None:
     names = [name for name in MODULE_NAMES if name.split(".")[0] == "lscan"]
     assert "lscan.cli.app" in names
@@ -169,6 +170,7 @@ def test_every_module_says_what_it_is() -> None:
 # ---- docstrings -------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_parameter_of_a_public_function_is_documented() -> None:
     functions = documented.Sources().public()
     assert len(functions) > 500
@@ -240,6 +242,7 @@ def test_few_modules_lie_outside_of_a_room() -> None:
     assert len(house.root_modules()) <= 6, house.root_modules()
 
 
+@pytest.mark.slow  # make house prints them
 def test_every_measure_of_the_house_is_within_its_bar() -> None:
     assert [row for row in house.house_rows() if not row.passed] == []
 

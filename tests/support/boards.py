@@ -9,12 +9,15 @@ Only the truth needs an iteration.  None of the instrument's code is used.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 
+from lscan.board import read_board
 from lscan.config.board import Board
-from lscan.records import Bytes, Floats
+from lscan.errors import LscanError
+from lscan.records import BoardReading, Bytes, Floats
 
 PARTS = 4  # per fine pixel and direction: the edge of a dot is placed to about 0.01 px
 FINE = 2  # fine pixels in a pixel's side: the lens blurs before the sensor samples
@@ -150,31 +153,46 @@ def _shade(size: tuple[int, int], light: Light) -> Floats:
     return light.ratio ** (-(along + 1) / 2)
 
 
+_READINGS: dict[tuple[bytes, str, str], BoardReading | LscanError] = {}
+
+
+def read_once(image: Bytes, board: Board, **options: Any) -> BoardReading:
+    """The reading of ``read_board``, which is asked once for each picture, board and options."""
+    key = image.tobytes(), board.model_dump_json(), repr(options)
+    if key not in _READINGS:
+        try:
+            _READINGS[key] = read_board(image, board, **options)
+        except LscanError as error:
+            _READINGS[key] = error
+    found = _READINGS[key]
+    if isinstance(found, LscanError):
+        raise found
+    return found
+
+
 Beyond = Callable[[Floats], Floats]
-"""How far places (..., 2) mm on the board lie beyond the rim of a mark, mm; negative on it."""
+"""How far beyond a mark's rim places lie that are so many mm from its middle; negative on it."""
 
 
 def _add_marks(
-    cover: Floats, view: View, middle: Floats, reach: int, parts: int, beyond: list[Beyond]
+    cover: Floats, view: View, middle_mm: Floats, reach: int, parts: int, beyond: Beyond
 ) -> None:
-    """Add the share that a mark covers of each pixel within reach of its ``middle`` (N, 2) px."""
+    """Add the share that marks about ``middle_mm`` (N, 2) cover of each pixel within reach."""
     span = np.arange(-reach, reach + 1)
-    u, v = (part.ravel() for part in np.meshgrid(span, span))
+    offsets = np.stack(np.meshgrid(span, span), axis=-1).reshape(-1, 2)
+    pixels = np.rint(view.image_px(middle_mm)).astype(int)[:, None] + offsets
+    mark, which = np.nonzero(((pixels >= 0) & (pixels < cover.shape[::-1])).all(axis=2))
+    pixels, middle_mm = pixels[mark, which], middle_mm[mark]
+    places = pixels.astype(float)
+    distance = beyond(np.linalg.norm(view.board_mm(places) - middle_mm, axis=-1))
+    share = (distance <= 0).astype(float)
+    # No place in a pixel is farther from its middle than 0.71 px; 1 px leaves room for bends.
+    rim = np.flatnonzero(np.abs(distance) < np.linalg.norm(view.jacobian(places), axis=(1, 2)))
     inner = (np.arange(parts) + 0.5) / parts - 0.5
-    places = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
-    for base, away in zip(np.rint(middle).astype(int), beyond, strict=True):
-        pixels = base + np.column_stack([u, v])
-        inside = ((pixels >= 0) & (pixels < cover.shape[::-1])).all(axis=1)
-        pixels = pixels[inside].astype(float)
-        distance = away(view.board_mm(pixels))
-        share = (distance <= 0).astype(float)
-        # No place in a pixel is farther from its middle than 0.71 px; 1 px leaves room for bends.
-        size_mm = np.linalg.norm(view.jacobian(pixels), axis=(1, 2))
-        rim = np.flatnonzero(np.abs(distance) < size_mm)
-        on = away(view.board_mm(pixels[rim, None] + places)) <= 0
-        share[rim] = on.mean(axis=1)
-        column, row = pixels.astype(int).T
-        cover[row, column] += share
+    finer = places[rim, None] + np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
+    away_mm = np.linalg.norm(view.board_mm(finer) - middle_mm[rim, None], axis=-1)
+    share[rim] = (beyond(away_mm) <= 0).mean(axis=1)
+    np.add.at(cover, (pixels[:, 1], pixels[:, 0]), share)
 
 
 def _add_discs(
@@ -184,11 +202,7 @@ def _add_discs(
     per_px = np.abs(np.linalg.det(view.jacobian(middle))).min() ** 0.5
     reach = int(np.ceil(0.75 * diameter_mm / per_px)) + 1
     near = ((middle > -reach) & (middle < np.array(view.size) + reach)).all(axis=1)
-
-    def beyond(centre_mm: Floats) -> Beyond:
-        return lambda mm: np.linalg.norm(mm - centre_mm, axis=-1) - diameter_mm / 2
-
-    _add_marks(cover, view, middle[near], reach, parts, [beyond(mm) for mm in places_mm[near]])
+    _add_marks(cover, view, places_mm[near], reach, parts, lambda mm: mm - diameter_mm / 2)
 
 
 def _add_ring(
@@ -199,7 +213,6 @@ def _add_ring(
     reach = int(np.ceil(0.75 * diameter_mm / per_px)) + 2
 
     def beyond(mm: Floats) -> Floats:
-        radius = np.linalg.norm(mm - middle_mm, axis=-1)
-        return np.abs(radius - diameter_mm / 2) - width_mm / 2
+        return np.abs(mm - diameter_mm / 2) - width_mm / 2
 
-    _add_marks(cover, view, middle, reach, parts, [beyond])
+    _add_marks(cover, view, middle_mm[None], reach, parts, beyond)

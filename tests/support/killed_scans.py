@@ -1,7 +1,7 @@
-"""Run by test_acquire.py: scans that are killed, each in a process of its own.
+"""Scans that are killed: what they leave in the run folder at any moment, and real processes.
 
-``killed_scans.py FOLDER every``: one scan for each system call that touches the disk, killed
-    just before it (FOLDER/NNN) and, where it is a write, half way through (FOLDER/NNN-half).
+:func:`remnants` needs no process.  As a script it is run by test_scan.py and test_laser_pairs.py:
+
 ``killed_scans.py FOLDER twice``: scans killed at a random call, resumed, killed again.
 ``killed_scans.py FOLDER anytime``: scans killed from outside after a random time.
 
@@ -9,6 +9,7 @@ Two more arguments are the number of frames, 3 where it is left out, and the pla
 """
 
 import os
+import shutil
 import signal
 import sys
 import time
@@ -18,19 +19,55 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from fake_devices import FakeCamera, LaserTrack, fake_rig
 
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import resume_run
 
-FRAMES = int(sys.argv[3]) if len(sys.argv) > 3 else 3
-PLAN = {"laser": sys.argv[4]} if len(sys.argv) > 4 else {}
 CALLS = ("mkdir", "open", "write", "fsync", "replace", "ftruncate", "unlink", "close")
 
 
-def scan(path: Path) -> None:
+def remnants(folder: Path, scan: Callable[[Path], object]) -> list[Path]:
+    """Copies of the run folder as a scan leaves it that is killed at a call that touches the disk.
+
+    One as it is just before each call and, where that is a write, one half way through it.  What
+    was handed to the system stays when a process is killed, so that its folder is that copy.
+    """
+    found: list[Path] = []
+    copying = False
+
+    def copy_now() -> None:
+        nonlocal copying
+        copying = True
+        if (folder / "run").exists():
+            found.append(folder / f"{len(found):03d}")
+            shutil.copytree(folder / "run", found[-1])
+        copying = False
+
+    def watched(name: str, original: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapper(*args: Any, **kwargs: Any) -> Any:
+            if copying:
+                return original(*args, **kwargs)
+            copy_now()
+            if name != "write":
+                return original(*args, **kwargs)
+            half = original(args[0], args[1][: len(args[1]) // 2])
+            copy_now()
+            return half + original(args[0], args[1][half:])
+
+        return wrapper
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in CALLS:
+            patch.setattr(os, name, watched(name, getattr(os, name)))
+        scan(folder / "run")
+    return found
+
+
+def scan(path: Path, frames: int, plan: dict[str, str]) -> None:
     """The test's scan, begun or resumed."""
-    with resume_run(path, fake_rig(FRAMES, **PLAN)) as writer:
+    with resume_run(path, fake_rig(frames, **plan)) as writer:
         track = LaserTrack()
         acquire_into(writer, FakeCamera(track), track)
 
@@ -58,7 +95,10 @@ def was_killed(child: int) -> bool:
     return False
 
 
-def scan_killed_at(path: Path, call: int, half: bool) -> None:
+Scan = Callable[[Path], None]
+
+
+def scan_killed_at(scan: Scan, path: Path, call: int, half: bool) -> None:
     """Scan, and die at disk call number ``call``; with ``half``, in the middle of a write."""
     count = 0
 
@@ -79,25 +119,15 @@ def scan_killed_at(path: Path, call: int, half: bool) -> None:
     scan(path)
 
 
-def every(folder: Path) -> None:
-    """Kill at each call there is, until a scan comes to its end."""
-    killed, call = True, 0
-    while killed:
-        for path, half in ((folder / f"{call:03d}", False), (folder / f"{call:03d}-half", True)):
-            child = in_child(partial(scan_killed_at, path, call, half))
-            killed = was_killed(child)
-        call += 1
-
-
-def twice(folder: Path, number: int = 20) -> None:
+def twice(scan: Scan, folder: Path, number: int = 20) -> None:
     """Kill at a random call, resume, kill again."""
     generator = np.random.default_rng(1)
     for index in range(number):
         for call, half in zip(generator.integers(0, 30, 2), generator.random(2) < 0.5, strict=True):
-            was_killed(in_child(partial(scan_killed_at, folder / f"{index}", call, half)))
+            was_killed(in_child(partial(scan_killed_at, scan, folder / f"{index}", call, half)))
 
 
-def anytime(folder: Path, number: int = 20) -> None:
+def anytime(scan: Scan, folder: Path, number: int = 20) -> None:
     """Kill from outside, at moments spread over the time a scan takes."""
     begin = time.perf_counter()
     was_killed(in_child(partial(scan, folder / "whole")))
@@ -112,4 +142,7 @@ def anytime(folder: Path, number: int = 20) -> None:
 if __name__ == "__main__":
     # A killed process loses nothing that it gave to the system; only a power failure would.
     os.fsync = lambda descriptor: None  # type: ignore[assignment]
-    {"every": every, "twice": twice, "anytime": anytime}[sys.argv[2]](Path(sys.argv[1]))
+    frames = int(sys.argv[3]) if len(sys.argv) > 3 else 3
+    plan = {"laser": sys.argv[4]} if len(sys.argv) > 4 else {}
+    one = partial(scan, frames=frames, plan=plan)
+    {"twice": twice, "anytime": anytime}[sys.argv[2]](one, Path(sys.argv[1]))

@@ -13,7 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 from places import PAPER_BOARD
 
-from lscan.config.board import Board, Ring, load_board
+from lscan.config.board import Board, load_board
 from lscan.records import (
     BoardReading,
     Floats,
@@ -145,8 +145,19 @@ def read_board(
     """
     stated = noise_px if sigma_px is None else sigma_px
 
+    turn = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
+    circle = np.column_stack([np.cos(turn), np.sin(turn)])
+    places = [
+        board.grid.points_mm(),
+        *(ruler.points_mm() for ruler in board.ruler),
+        *(board.dot_mm(dot.name)[None] for dot in board.dot),
+        *([ring.x_mm, ring.z_mm] + ring.diameter_mm / 2 * circle for ring in board.ring),
+    ]
+    ends = np.cumsum([len(part) for part in places])[:-1]
+    seen_px = iter(np.split(project(np.concatenate(places)), ends))  # in one go
+
     def marks(points_mm: Floats, lost: Any = False) -> Marks:
-        image = project(points_mm)
+        image = next(seen_px)
         seen = ((image >= 0) & (image <= np.array(image_size) - 1)).all(axis=1)
         status = np.where(seen, np.where(lost, Status.NOT_FOUND, Status.OK), Status.OUT_OF_VIEW)
         found = status == Status.OK
@@ -157,17 +168,6 @@ def read_board(
             status=status.astype(np.int64),
         )
 
-    def mark(name: str) -> Mark:
-        image = project(board.dot_mm(name)[None])[0]
-        return Mark(image, stated, Status.OK)
-
-    def ring_points(ring: Ring) -> RingPoints:
-        middle = np.array([ring.x_mm, ring.z_mm])
-        image = project(middle + ring.diameter_mm / 2 * circle)
-        return RingPoints(image, np.full(len(image), stated))
-
-    turn = np.linspace(0.0, 2 * np.pi, 36, endpoint=False)
-    circle = np.column_stack([np.cos(turn), np.sin(turn)])
     exact = BoardReading(
         image_size=image_size,
         pitch_mm=board.grid.pitch_mm,
@@ -177,8 +177,11 @@ def read_board(
             RulerReading(ruler.direction, ruler.at_mm, marks(ruler.points_mm()))
             for ruler in board.ruler
         ),
-        dots={dot.name: mark(dot.name) for dot in board.dot},
-        rings={ring.name: ring_points(ring) for ring in board.ring},
+        dots={dot.name: Mark(next(seen_px)[0], stated, Status.OK) for dot in board.dot},
+        rings={
+            ring.name: RingPoints(next(seen_px), np.full(len(circle), stated))
+            for ring in board.ring
+        },
     )
     return exact if rng is None else with_noise(exact, noise_px, rng)
 

@@ -3,20 +3,24 @@
 A pinhole camera with barrel distortion looks at the laser sheet from 1 m, 30 degrees down.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import cv2
 import numpy as np
+import pytest
 from places import PAPER_BOARD
 from scipy.spatial.transform import Rotation
 
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.board import Board, load_board
 from lscan.config.targets import GroovedBlock, Sandwave
+from lscan.figures import style
 from lscan.measure import SliceErrors
+from lscan.paper import picturefigures
 from lscan.paper.experiment import (
     METHODS,
     BoardResult,
@@ -29,6 +33,7 @@ from lscan.paper.experiment import (
     RenderCheck,
 )
 from lscan.paper.published import TABLE_1, TABLE_2, TABLE_3
+from lscan.paper.report import render_report
 from lscan.pipeline import BoardMeasures, GrooveMeasures, SandwaveMeasures
 from lscan.records import (
     BoardReading,
@@ -252,6 +257,7 @@ def truth() -> GroundTruth:
     return GroundTruth(points, RenderCheck(0.041, 0.217, 0.05, 0.3), YAW_DEG)
 
 
+@cache
 def experiment(seed: int = 20) -> Experiment:
     """The whole experiment by the paper's chain."""
     rng = np.random.default_rng(seed)
@@ -276,12 +282,14 @@ def experiment(seed: int = 20) -> Experiment:
     )
 
 
+@cache
 def board_alone() -> Experiment:
     """An experiment of which nothing but the board was scanned."""
     rng = np.random.default_rng(3)
     return Experiment("the board", Chain("graticule-2"), board_result(rng))
 
 
+@cache
 def both_chains() -> Experiment:
     """The whole experiment in a simulated tank, evaluated by the best chain as well."""
     better = experiment(seed=5)
@@ -295,3 +303,30 @@ def both_chains() -> Experiment:
     tank = PictureSource("sim", simulated=True, noise_seed=7)
     sources = dict.fromkeys(("board", "groove", "sandwave"), tank)
     return replace(experiment(), sources=sources, best=best)
+
+
+@cache
+def rendered() -> str:
+    """The page of :func:`both_chains`, its figures drawn."""
+    return render_report(both_chains())
+
+
+@cache
+def _rows() -> picturefigures.RowFits:
+    return picturefigures.row_fits(board_alone().board)
+
+
+@contextmanager
+def without_drawing() -> Iterator[None]:
+    """Pages have empty figures and are made in a tenth of the time."""
+    rows = _rows()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(style, "svg", lambda figure, key, alt: '<svg role="img"></svg>')
+        patch.setattr(picturefigures, "row_fits", lambda board: rows)
+        yield
+
+
+def undrawn(experiment: Experiment) -> str:
+    """The page with empty figures: what is written around them."""
+    with without_drawing():
+        return render_report(experiment)

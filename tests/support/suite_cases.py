@@ -1,5 +1,6 @@
 """A small suite of drawn lines, as a folder: what reading and judging are tested on."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,13 @@ from lscan.suites import (
 )
 
 NOISE = NoiseSection(read_dn=1.0, dn_per_electron=255 / 15_000)
+
+
+class Threads(ThreadPoolExecutor):
+    """In place of a pool of processes, which take seconds to begin."""
+
+    def __init__(self, count, *_):
+        super().__init__(count)
 
 
 def drawn_case(number, peak_dn=150.0, turned=False, dark=False):

@@ -78,6 +78,7 @@ def test_hardware_that_is_not_as_its_rig_says_fails_by_name(
     assert "set plan.laser to test it" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_rig_file_that_is_none_is_said_in_one_line(tmp_path: Path) -> None:
     done = run_on(tmp_path / "none.toml", "-k", "is_a_track")
     assert done.returncode == 1

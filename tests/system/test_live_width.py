@@ -18,7 +18,7 @@ READ_DN, DN_PER_ELECTRON = 1.0, 0.017  # of the paper's camera
 SETTINGS = StripeSection(extractor="ml", threshold_dn=20)
 
 
-def width_and_error(full_width_px: float, repeats: int = 6) -> tuple[float, float]:
+def width_and_error(full_width_px: float, repeats: int = 3) -> tuple[float, float]:
     """The page's width of a line drawn so wide for a colour camera, and the centre's rms error.
 
     The line is integrated over each pixel; the noise is the sensor's, the mosaic interpolated.
@@ -53,20 +53,21 @@ def limits() -> dict[str, float]:
     return {name.strip(): float(value) for name, value in pairs}
 
 
+@pytest.mark.slow
 def test_a_line_of_good_width_is_found_best(limits: dict[str, float]) -> None:
     """Within the limits an error is at most half as much again as the least there is.
 
     Thinner, the mosaic, which leaves red on every other row, makes it at least three times as
     much; beyond the limit called bad, the noise of the many pixels makes it at least twice.
     """
-    lines = [width_and_error(w) for w in (1.0, 1.2, 1.6, 2.0, 2.6, 3.0, 3.5, 3.8, 5.0, 8.5, 10.0)]
+    lines = [width_and_error(w) for w in (1.2, 2.0, 2.6, 3.0, 3.5, 3.8, 5.0, 10.0)]
     least = min(error for _, error in lines)
     good = [error for width, error in lines if limits["thin"] <= width <= limits["good"]]
     assert len(good) == 3
     assert max(good) <= 1.5 * least
     thin = [error for width, error in lines if width < limits["thin"]]
-    assert len(thin) == 4
+    assert len(thin) == 2
     assert min(thin) >= 3 * least
     bad = [error for width, error in lines if width > limits["bad"]]
-    assert len(bad) == 2
+    assert len(bad) == 1
     assert min(bad) >= 2 * least

@@ -91,7 +91,12 @@ def test_perfect_views_in_air_give_the_true_sheet() -> None:
 
 
 @pytest.mark.parametrize(
-    ("medium", "moved"), [("air", lambda s: s), ("water", lambda s: s), ("water", shifted)]
+    ("medium", "moved"),
+    [
+        ("water", shifted),
+        pytest.param("air", lambda s: s, marks=pytest.mark.slow),
+        pytest.param("water", lambda s: s, marks=pytest.mark.slow),
+    ],
 )
 def test_steps_in_the_sheet_whatever_the_board_did(medium: str, moved: Moved) -> None:
     """Within four of the stated standard uncertainties (one chance in 16,000) and 0.10 mm."""

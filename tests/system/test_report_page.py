@@ -7,9 +7,7 @@ import report_examples as examples
 from chromium import Chromium
 from playwright.sync_api import Page
 
-from lscan.paper.report import write_report
-
-pytestmark = pytest.mark.xdist_group("live_page")
+pytestmark = [pytest.mark.xdist_group("live_page"), pytest.mark.slow]
 PHONE = (390, 844)
 TABLES = """[...document.querySelectorAll("table")].map(table => {
   const box = table.parentElement;
@@ -31,7 +29,7 @@ TABLES = """[...document.querySelectorAll("table")].map(table => {
 @pytest.fixture(scope="module")
 def page(chromium: Chromium, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     path = tmp_path_factory.mktemp("report") / "report.html"
-    write_report(path, examples.both_chains())
+    path.write_text(examples.rendered(), encoding="utf-8")
     with chromium.phone(*PHONE) as page:
         page.goto(path.as_uri())
         yield page

@@ -71,6 +71,7 @@ def test_it_runs_until_sigterm_and_leaves_nothing(scene_file: Path, tmp_path: Pa
     assert left == ["rig.toml", "scene.toml"]
 
 
+@pytest.mark.slow  # what is served, tests/sim/emulators/test_serve.py reads in process
 def test_it_says_in_lines_where_everything_is_and_stops_at_ctrl_c(scene_file: Path) -> None:
     process = start(scene_file)
     try:
@@ -83,6 +84,7 @@ def test_it_says_in_lines_where_everything_is_and_stops_at_ctrl_c(scene_file: Pa
     assert (process.returncode, said, errors) == (0, "", "")
 
 
+@pytest.mark.slow  # what is served, tests/sim/emulators/test_serve.py reads in process
 def test_board_and_scan_are_served_in_one_go(scene_file: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.toml"
     other.write_bytes(scene_file.read_bytes())

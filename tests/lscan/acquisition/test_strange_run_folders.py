@@ -2,9 +2,7 @@
 
 import hashlib
 import json
-import os
 import shutil
-import signal
 import sys
 import zlib
 from collections.abc import Callable, Iterator
@@ -13,9 +11,11 @@ from typing import Any
 
 import cv2
 import pytest
+import strange
 from command_line import call, refused
 from fake_devices import FakeCamera, FakeTrack, fake_rig
 from png_files import HUGE, grey_png
+from strange import refusal
 
 from lscan.acquisition.run import FrameRow, Manifest, Run, open_run
 from lscan.acquisition.scan import acquire_into, open_devices, scan
@@ -26,7 +26,6 @@ from lscan.files import disk
 from lscan.files.disk import write_atomically
 
 FRAMES = 4
-HANG_S = 60
 
 
 @pytest.fixture(scope="module")
@@ -56,17 +55,9 @@ def scanning(copy: Path) -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _no_hang() -> Iterator[None]:
-    """A test that waits for a FIFO fails instead of standing for ever."""
-
-    def hangs(*_: Any) -> None:
-        raise AssertionError(f"still at work after {HANG_S} s")
-
-    before = signal.signal(signal.SIGALRM, hangs)
-    signal.alarm(HANG_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+def _little_memory_and_time() -> Iterator[None]:
+    with strange.little_memory_and_time():
+        yield
 
 
 def sign(path: Path, rig: dict[str, Any] | None = None, **changes: Any) -> None:
@@ -87,61 +78,30 @@ def read_all(path: Path) -> None:
 NAMES = ("run.json", "frames.csv", "frames/000001.png")
 
 
-def fifo(file: Path) -> None:
-    file.unlink()
-    os.mkfifo(file)
-
-
-def folder(file: Path) -> None:
-    file.unlink()
-    file.mkdir()
-
-
-def endless(file: Path) -> None:
-    file.unlink()
-    file.symlink_to("/dev/zero")
-
-
-def outside(file: Path) -> None:
-    """The same file, beside the run folder: only where it lies is wrong."""
-    moved = file.parents[len(file.relative_to(copy_of(file)).parts)] / "moved"
-    shutil.move(file, moved)
-    file.symlink_to(moved)
-
-
-def copy_of(file: Path) -> Path:
-    return next(path for path in file.parents if path.name == "copy")
-
-
-def loop(file: Path) -> None:
-    file.unlink()
-    file.symlink_to(file.name)
-
-
-def sparse(file: Path) -> None:
-    with file.open("wb") as opened:
-        opened.truncate(2**40)
-
-
-STRANGE: dict[str, tuple[Callable[[Path], None], str]] = {
-    "FIFO": (fifo, "cannot be read: it is a FIFO (allowed: a regular file)"),
-    "folder": (folder, "cannot be read: it is a folder (allowed: a regular file)"),
-    "endless device": (endless, "is a link that leads out of"),
-    "link": (outside, "is a link that leads out of"),
-    "link to itself": (loop, "cannot be read: Too many levels of symbolic links"),
-    "a terabyte": (sparse, "is too large: bytes (got 1099511627776; allowed: "),
+NO_FILE = {
+    strange.a_fifo: "cannot be read: it is a FIFO (allowed: a regular file)",
+    strange.a_folder: "cannot be read: it is a folder (allowed: a regular file)",
+    strange.a_device: "is a link that leads out of",
+    strange.a_loop: "cannot be read: Too many levels of symbolic links",
+    strange.a_large_hole: "is too large: bytes (got 1099511627776; allowed: ",
 }
 
 
+@pytest.mark.parametrize(
+    ("name", "attack"),
+    [(NAMES[-1], attack) for attack in NO_FILE] + [(name, strange.a_fifo) for name in NAMES[:-1]],
+)
+def test_only_regular_files_are_read(copy: Path, name: str, attack: Callable[[Path], None]) -> None:
+    (copy / name).unlink()
+    attack(copy / name)
+    refusal(lambda: read_all(copy), f"{copy / name}: {NO_FILE[attack]}")
+
+
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("kind", STRANGE)
-def test_only_regular_files_of_the_folder_are_read(copy: Path, name: str, kind: str) -> None:
-    replace_by, message = STRANGE[kind]
-    replace_by(copy / name)
-    with pytest.raises(InputError) as caught:
-        read_all(copy)
-    assert str(caught.value).startswith(f"{copy / name}: {message}")
-    assert "\n" not in str(caught.value)
+def test_a_file_is_read_from_the_folder_alone(copy: Path, tmp_path: Path, name: str) -> None:
+    """The same file, beside the run folder: only where it lies is wrong."""
+    strange.moved_elsewhere(copy / name, tmp_path / "outside")
+    refusal(lambda: read_all(copy), f"{copy / name}: is a link that leads out of")
 
 
 def test_a_link_to_a_folder_of_frames_elsewhere_is_refused(copy: Path, tmp_path: Path) -> None:

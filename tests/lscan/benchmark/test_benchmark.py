@@ -111,7 +111,7 @@ def test_the_noise_is_the_noise_declared() -> None:
     noise = NoiseSection(read_dn=2.0, dn_per_electron=gain, speckle=contrast)
     case, true = LineCase("tap", 2.0, 150.0, noise), centres(0.1)
     generator = np.random.default_rng(5)
-    shots = np.array([draw(case, true, generator) for _ in range(400)], dtype=float)
+    shots = np.array([draw(case, true, generator) for _ in range(100)], dtype=float)
     mean = mean_picture(case, true)
     light = mean - BACKGROUND_DN
     variance = noise.read_dn**2 + gain * mean + (contrast * light) ** 2
@@ -261,9 +261,9 @@ def test_a_bench_of_nothing_is_refused(tmp_path: Path) -> None:
     [
         (constant_row, {"scatter", "outliers"}),
         (blind, {"found"}),
-        (one_pixel_off, {"bias"}),
+        pytest.param(one_pixel_off, {"bias"}, marks=pytest.mark.slow),
         (too_sure, {"sigma"}),
-        (now_and_then, {"scatter", "outliers"}),
+        pytest.param(now_and_then, {"scatter", "outliers"}, marks=pytest.mark.slow),
     ],
 )
 def test_an_extractor_of_no_use_fails(

@@ -97,7 +97,10 @@ def test_a_reader_is_said_to_be_what_it_is(suite):
     assert {row.group["water"]: row.cases for row in by_water} == {"tap": 6, "harbor": 6}
 
 
-def test_several_processes_judge_boards_as_one_does(suite, monkeypatch):
+@pytest.mark.parametrize("pool", [suite_cases.Threads, pytest.param(None, marks=pytest.mark.slow)])
+def test_several_processes_judge_boards_as_one_does(suite, monkeypatch, pool):
+    if pool is not None:
+        monkeypatch.setattr("lscan.benchmark.suiterun.ProcessPoolExecutor", pool)
     methods = {"reader": [_named(exact_reader), _named(blind_reader)], "map": ["polynomial-3"]}
     alone = run_suite(str(suite), methods)
     monkeypatch.setattr("lscan.benchmark.suiterun.LEAST_SHARED", 1)

@@ -38,6 +38,7 @@ from tests.validation.regression.mutations import drawn_sums
 pytestmark = pytest.mark.xdist_group("suite_bench")  # one worker: they share a fixture
 
 BASE = "gaussian"
+CASES = 12  # of fewer than eleven not even a change of all is significant: 2 / 2^10
 
 
 def _own(change):
@@ -100,7 +101,7 @@ def _named(name):
 def suite(tmp_path_factory):
     folder = tmp_path_factory.mktemp("judged") / "drawn"
     folder.mkdir()
-    suite_cases.drawn_suite(folder, 18)
+    suite_cases.drawn_suite(folder, CASES)
     return folder
 
 
@@ -158,12 +159,18 @@ def test_a_bias_of_half_a_pixel_is_said(suite):
     assert wrong.scatter_px == pytest.approx(right.scatter_px, rel=1e-6)
     by_target = suite_rows(run, ["target"])
     assert {row.group["target"] for row in by_target} == {"peak 150", "peak 30"}
-    assert sum(row.cases for row in by_target) == 36
+    assert sum(row.cases for row in by_target) == 2 * CASES
     with pytest.raises(InputError, match="no such axis"):
         suite_rows(run, ["colour"])
 
 
-@pytest.mark.parametrize("mutant", MUTANTS)
+QUICK = ("half_off", "sigma_halved")
+
+
+@pytest.mark.parametrize(
+    "mutant",
+    [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in MUTANTS],
+)
 def test_a_mutation_is_noticed(suite, saved, mutant):
     worse = compare_saved(run_suite(str(suite), {"extractor": [_named(mutant)]}), saved)
     assert MUTANTS[mutant] in {one.figure for one in worse if one.worse}, worse
@@ -322,8 +329,11 @@ def test_the_command_refuses_what_does_not_fit(suite, tmp_path, capsys):
     refused(call(capsys, *options, "--suite", suite, "--by", "colour"), "no such axis")
 
 
-def test_several_processes_judge_as_one_does(suite, monkeypatch):
+@pytest.mark.parametrize("pool", [suite_cases.Threads, pytest.param(None, marks=pytest.mark.slow)])
+def test_several_processes_judge_as_one_does(suite, monkeypatch, pool):
     """All but the seconds."""
+    if pool is not None:
+        monkeypatch.setattr(suiterun, "ProcessPoolExecutor", pool)
     names = [BASE, "max"]
     alone = run_suite(str(suite), {"extractor": names})
     monkeypatch.setattr(suiterun, "LEAST_SHARED", 1)
@@ -340,7 +350,7 @@ def test_several_processes_judge_as_one_does(suite, monkeypatch):
             assert replace(sums, seconds=0.0) == replace(other[case], seconds=0.0)
         of_both = zip(alone.worst[name], shared.worst[name], strict=True)
         assert all(worst.case == again.case for worst, again in of_both)
-    assert shown == [(done, 18) for done in range(1, 19)]
+    assert shown == [(done, CASES) for done in range(1, CASES + 1)]
 
 
 def test_drawn_lines_are_a_suite(tmp_path):

@@ -1,21 +1,28 @@
 """Corners of chessboards and ChArUco boards: truth, scatter, photographs, refusals."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
-from places import PHOTOGRAPHS
 
 from lscan.board.chessboard import read_charuco, read_chessboard
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Bytes, Floats
 
-DATA = PHOTOGRAPHS / "webcam"
 TURN = np.deg2rad(7.0)
 SIDE = 40.0  # px
 
 
 def chessboard(noise_dn: float = 0.0, seed: int = 0) -> tuple[Floats, Floats]:
     """A picture of 8 by 6 squares, a little turned and blurred, and its (35, 2) true corners."""
+    grey, truth = drawn_chessboard()
+    return grey + np.random.default_rng(seed).normal(0, noise_dn, grey.shape), truth
+
+
+@cache
+def drawn_chessboard() -> tuple[Floats, Floats]:
+    """The same without noise; not to be written to."""
     fine, blur = 4, 0.8
     v, u = (np.mgrid[: 480 * fine, : 640 * fine] + 0.5) / fine - 0.5
     cos, sin = np.cos(TURN), np.sin(TURN)
@@ -29,7 +36,7 @@ def chessboard(noise_dn: float = 0.0, seed: int = 0) -> tuple[Floats, Floats]:
     row, column = np.divmod(np.arange(35), 7)
     right, down = SIDE * (column + 1), SIDE * (row + 1)
     truth = np.column_stack([150 + cos * right - sin * down, 90 + sin * right + cos * down])
-    return grey + np.random.default_rng(seed).normal(0, noise_dn, grey.shape), truth
+    return grey, truth
 
 
 DRAWN_PX = 1 / 8 / np.sqrt(3) / np.sqrt(30)
@@ -75,30 +82,6 @@ def test_sigma_of_a_corner_grows_in_slanting_light() -> None:
     assert error > 0.05  # above what the drawing does
     # The shift grows a little faster than that by the squares' blur: a tenth to either side.
     assert 0.65 <= float(np.mean(marks.sigma_px)) / error <= 0.81
-
-
-def photographs() -> list[Bytes]:
-    paths = sorted(DATA.glob("frame*.jpg"))
-    if not paths:
-        pytest.skip("the photographs are not here")
-    return [np.asarray(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)) for path in paths]
-
-
-@pytest.mark.slow
-def test_sixteen_photographs_calibrate_a_webcam() -> None:
-    """One of 1,056 corners is left out: a narrower window moves it by 7.6 standard deviations of
-    what it does to the others of its picture, which 6 allow; the next largest is 2.9."""
-    pictures = photographs()
-    found = [read_chessboard(picture, 11, 6, 25.0) for picture in pictures]
-    assert len(found) == 16 and sum(int((~marks.found).sum()) for marks in found) <= 1
-    flat = [
-        np.column_stack([m.board_mm, np.zeros(len(m.found))])[m.found].astype(np.float32)
-        for m in found
-    ]
-    seen = [m.image_px[m.found].astype(np.float32) for m in found]
-    height, width = pictures[0].shape
-    rms = cv2.calibrateCamera(flat, seen, (width, height), None, None)[0]
-    assert rms <= 0.225  # OpenCV's plain route on the same pictures
 
 
 def charuco(squares_down: int = 5, legacy: bool = False) -> Bytes:
@@ -172,8 +155,7 @@ def test_what_keeps_a_charuco_board_from_being_found(
         read_charuco(picture, columns, rows, 20.0, 14.0, dictionary)
 
 
-@pytest.mark.parametrize("along", ["row", "column"])
-@pytest.mark.parametrize("off_px", [-2.0, 0.0, 1.5])
+@pytest.mark.parametrize(("along", "off_px"), [("row", -2.0), ("row", 0.0), ("column", 1.5)])
 def test_corners_beside_a_lasers_line_are_right_or_left_out(along: str, off_px: float) -> None:
     grey, truth = chessboard(1.0)
     corners = truth.reshape(5, 7, 2)

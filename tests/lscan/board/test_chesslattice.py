@@ -1,5 +1,7 @@
 """Which corners are the board's: slivers at the rim, rows skipped, chance, order of pictures."""
 
+from functools import cache
+
 import cv2
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ CORNERS_MM = SQUARE_MM * np.stack(
 )
 
 
+@cache
 def drawn(view: DrawnView = VIEW, slivers: tuple[float, ...] = NO_SLIVERS, seed: int = 1) -> Bytes:
     left, right, top, bottom = slivers
     edges = (left, right, top, bottom)
@@ -47,6 +50,7 @@ def test_a_plain_board_is_read_right() -> None:
     assert min(np.abs(found - t).max() for t in (truth, truth[::-1])) < 1.0
 
 
+@pytest.mark.slow
 @examples(6)
 @given(
     slivers=st.tuples(*[st.sampled_from([0.0, 0.15, 0.3, 0.5])] * 4),
@@ -98,6 +102,7 @@ def test_a_lattice_a_row_off_is_put_right(
     np.testing.assert_allclose(found.reshape(-1, 2), VIEW.image_px(CORNERS_MM), atol=3.5)
 
 
+@pytest.mark.slow
 def test_the_answer_does_not_depend_on_what_was_asked_before() -> None:
     one, other = drawn(slivers=(0.3, 0.0, 0.4, 0.2)), drawn(seed=2)
 
@@ -119,7 +124,9 @@ def test_opencv_keeps_its_threads() -> None:
     assert cv2.getNumThreads() == threads
 
 
-@pytest.mark.parametrize("slivers", [(0.3, 0.3, 0.3, 0.3), (0.0, 0.5, 0.1, 0.0)])
+@pytest.mark.parametrize(
+    "slivers", [(0.3, 0.3, 0.3, 0.3), pytest.param((0.0, 0.5, 0.1, 0.0), marks=pytest.mark.slow)]
+)
 def test_a_board_with_slivers_is_found(slivers: tuple[float, ...]) -> None:
     """Both of OpenCV's detectors may give up on it; from corner to corner it is found."""
     found = find_lattice(drawn(slivers=slivers), COLUMNS, ROWS).reshape(-1, 2)

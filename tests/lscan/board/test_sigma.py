@@ -25,7 +25,7 @@ def big_dots(diameter_mm: float) -> boards.Board:
     return PLAIN.model_copy(update={"grid": grid})
 
 
-@pytest.mark.parametrize("diameter_mm", [10.0, 20.0])
+@pytest.mark.parametrize("diameter_mm", [10.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_big_dots_in_strong_perspective_have_no_bias(diameter_mm: float) -> None:
     # The bar is 0.005 px; rounding to 1/255 is left out, the drawn edges are good to 1/8 px
     # in each of some 30 and more pixels of the rim.
@@ -51,7 +51,7 @@ def across_the_ring(view: View, reading: BoardReading, name: str) -> Floats:
     return (length - ring.diameter_mm / 2) / steepness
 
 
-@pytest.mark.parametrize("blur_px", [0.5, 0.7, 1.0])
+@pytest.mark.parametrize("blur_px", [0.5, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_rings_are_not_drawn_inwards_by_blur(blur_px: float) -> None:
     reading = read_board(expected_dn(PAPER, VIEW, Light(blur_px=blur_px), PARTS), PAPER)
     for ring in PAPER.ring:
@@ -63,11 +63,11 @@ def test_rings_are_not_drawn_inwards_by_blur(blur_px: float) -> None:
 @pytest.mark.parametrize(
     ("noise_dn", "shot", "blur_px"),
     [
-        pytest.param(1.0, 0.0, 0.5, marks=SHARP),
-        pytest.param(0.5, 0.04, 0.7, marks=SHARP),
-        (4.0, 0.0, 0.7),
+        pytest.param(1.0, 0.0, 0.5, marks=[SHARP, pytest.mark.slow]),
+        pytest.param(0.5, 0.04, 0.7, marks=[SHARP, pytest.mark.slow]),
+        pytest.param(4.0, 0.0, 0.7, marks=pytest.mark.slow),
         (1.0, 0.04, 1.0),
-        (4.0, 0.0, 1.5),
+        pytest.param(4.0, 0.0, 1.5, marks=pytest.mark.slow),
     ],
 )
 def test_sigma_is_the_scatter(noise_dn: float, shot: float, blur_px: float) -> None:
@@ -103,6 +103,7 @@ def squares(image_px: list[Floats], sigma_px: list[Floats]) -> Floats:
     return (away**2 / sigma[:, seen, None] ** 2).ravel() * len(points) / (len(points) - 1)
 
 
+@pytest.mark.slow  # sigma is the scatter, above
 def test_more_noise_is_more_sigma() -> None:
     expected = expected_dn(PLAIN, VIEW, Light(), PARTS)
     sigma = [
@@ -125,7 +126,7 @@ def test_noise_that_neighbouring_pixels_share_counts_as_large_as_it_is() -> None
     view = View(distance_mm=750.0, target_mm=(180.0, -180.0))
     expected = boards.expected_dn(board, view)
     squares = []
-    for seed in range(6):
+    for seed in range(2):
         noise = gaussian_filter(np.random.default_rng(seed).standard_normal(expected.shape), 1.5)
         picture = np.clip(np.rint(expected + 2.0 * noise / noise.std()), 0, 255).astype(np.uint8)
         grid_marks = read_board(picture, board).grid

@@ -62,7 +62,7 @@ def test_sound_readings_are_untouched(view: View, seed: int) -> None:
     assert without_outliers(reading).reading is reading
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_sound_corner_that_perspective_and_lens_bend_is_untouched(seed: int) -> None:
     """Soak's example: a polynomial in the place on the board misses its corner by 0.6 px."""
     view = View(
@@ -83,11 +83,12 @@ def test_sound_corners_of_coarse_boards_are_untouched() -> None:
     """Strong lenses bend corners more than a polynomial through 40 to 80 marks follows.
 
     One board of 300 has a corner called wrong (4,000 boards, other seeds); by a cubic, which asks
-    fewest marks, one of four has.  More than 3 of 100 have a probability of 0.05 %.
+    fewest marks, one of four has.  More than 2 of 30 have a probability of 0.02 %, of 3 or more
+    such ones of a cubic 99 %.
     """
     rng = np.random.default_rng(4)
     named = 0
-    for seed in range(100):
+    for seed in range(30):
         view = View(
             distance_mm=700.0,
             elevation_deg=rng.uniform(10.0, 45.0),
@@ -102,7 +103,7 @@ def test_sound_corners_of_coarse_boards_are_untouched() -> None:
         columns, rows = rng.integers(8, 13), rng.integers(6, 10)
         reading = coarse(int(columns), int(rows), view, rng.choice([0.005, 0.02]), seed)
         named += bool(outliers(reading).any())
-    assert named <= 3
+    assert named <= 2
 
 
 @examples(25)
@@ -135,7 +136,7 @@ def test_wrong_marks_are_named_and_no_others(seed: int, count: int) -> None:
     assert np.flatnonzero(wrong).tolist() == sorted(which)
 
 
-@pytest.mark.parametrize("name", ["polynomial-4", "spline", "projective", "graticule-2"])
+@pytest.mark.parametrize("name", ["polynomial-4", "graticule-2"])
 def test_a_map_is_as_without_the_wrong_marks(name: str) -> None:
     reading, shift = noisy(), np.array([[2.0, -1.0], [0.0, 40.0]])
     which = np.array([0, 37])

@@ -242,6 +242,7 @@ def test_a_metric_calibration_is_checked_and_corrected(tmp_path: Path) -> None:
     assert calibration.plane_map.name == "metric"
 
 
+@pytest.mark.slow
 def test_an_index_is_sought_where_indices_are() -> None:
     """A window in air is a port with an index of 1, below which there is none."""
     dry = replace(BARREL, n_water=1.0)
@@ -251,6 +252,7 @@ def test_an_index_is_sought_where_indices_are() -> None:
     assert 1.0 <= found.index.index < 1.0 + 4 * found.index.sigma
 
 
+@pytest.mark.slow
 def test_a_correction_of_the_index_does_not_blind_the_next_check() -> None:
     """What the marks seen through fresh water miss by in the sea is no fault of the map's form.
 

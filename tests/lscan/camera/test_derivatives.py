@@ -74,7 +74,7 @@ def assert_alike(found: Floats, expected: Floats) -> None:
     assert (off <= WITHIN * largest + ROUNDING / STEPS).all()
 
 
-@pytest.mark.parametrize("port", ["flat", "none"])
+@pytest.mark.parametrize("port", ["flat", pytest.param("none", marks=pytest.mark.slow)])
 @examples(6)
 @given(camera=CAMERAS, seed=st.integers(0, 1000))
 def test_derivatives_agree_with_differences(

@@ -32,8 +32,9 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """``auto`` with three quick candidates and one that does not exist."""
+    """``auto`` with three quick candidates and one that does not exist; pictures are read once."""
     monkeypatch.setattr(auto, "CANDIDATES", ("spline", "polynomial-4", "projective", "nothing"))
+    monkeypatch.setattr("lscan.cli.inputs.read_board", boards.read_once)
 
 
 @pytest.fixture
@@ -153,6 +154,7 @@ def test_check_says_how_to_correct_and_does(
     assert not (tmp_path / "none.json").exists()
 
 
+@pytest.mark.slow  # test_carry.py refuses it by the map
 def test_check_takes_a_picture_to_the_water_that_a_file_states(
     pictures: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import call, refused
-from places import PHOTOGRAPHS, ROOT, SUPPORT
+from places import ROOT
 
 from lscan.acquisition.run import open_run
 from lscan.acquisition.writer import create_run
@@ -319,34 +319,6 @@ def test_a_flat_picture_holds_no_line(tmp_path: Path, capsys: pytest.CaptureFixt
     code, out, _ = call(capsys, "extract", tmp_path / "flat.png", "--json")
     assert code == 0
     assert json.loads(out) == {"columns": 60, "found": 0, "status": {"NO_PEAK": 60}}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="the real photographs are not here")
-def test_the_dot_photograph_with_no_option_set(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """At least 95 % of the 4,380 whole dots of the real photograph."""
-    board = SUPPORT / "dot-photograph.toml"
-    code, out, err = call(
-        capsys, "calibrate", PHOTOGRAPHS / "dots" / "dot_pattern_05.jpg", "--board", board,
-        "-o", tmp_path / "c.json", "--json",
-    )  # fmt: skip
-    assert code == 0, err
-    assert json.loads(out)["control_points"]["found"] >= 0.95 * 4380
-
-
-@pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="the real photographs are not here")
-def test_the_bust_with_its_background(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The line covers about 1,110 of 1,280 rows; where it lies is test_stripe_photograph's."""
-    webcam = PHOTOGRAPHS / "webcam"
-    code, out, err = call(
-        capsys, "extract", webcam / "bust_laser_on.png", "--background",
-        webcam / "bust_laser_off.png", "--axis", "rows", "--overlay", tmp_path / "o.png", "--json",
-    )  # fmt: skip
-    assert code == 0, err
-    assert 1050 < json.loads(out)["found"] < 1150
-    assert (tmp_path / "o.png").exists()
 
 
 @pytest.mark.slow

@@ -64,6 +64,7 @@ def test_the_file_holds_every_spectrum_and_their_variances_agree(surface_file, t
         assert found.attrs["gamma2"] == told["gamma2"]
 
 
+@pytest.mark.slow  # test_linereading.py has it of the response itself
 def test_blur_that_was_corrected_for_is_not_divided_out_again(surface_file, tmp_path, capsys):
     """A line corrected for blur lacks less of its waves, so less is added to them: in between, at
     wavelengths of 8 to 16 pixels, which the correction reaches."""
@@ -83,6 +84,7 @@ def test_blur_that_was_corrected_for_is_not_divided_out_again(surface_file, tmp_
     refused(call(capsys, "roughness", corrected, "--blur", 1.4), "--pixel", "0.7 px")
 
 
+@pytest.mark.slow  # test_linereading.py has what a rig says
 def test_a_rig_says_what_is_averaged_over(surface_file, tmp_path, capsys):
     """Its pixels are the points' distance; it is of surfaces in the head's frame."""
     head = tmp_path / "head.nc"

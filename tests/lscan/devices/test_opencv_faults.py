@@ -202,7 +202,13 @@ for source in ({"url": url}, {"device": device}, {"file": __file__}):
 """
 
 
-@pytest.mark.parametrize(("asked", "speaks"), [({}, False), ({"OPENCV_LOG_LEVEL": "INFO"}, True)])
+@pytest.mark.parametrize(
+    ("asked", "speaks"),
+    [
+        ({}, False),
+        pytest.param({"OPENCV_LOG_LEVEL": "INFO"}, True, marks=pytest.mark.slow),
+    ],
+)
 def test_the_libraries_write_nothing_of_their_own(
     tmp_path: Path, asked: dict[str, str], speaks: bool
 ) -> None:
@@ -331,6 +337,7 @@ def _outcomes(seed: int) -> list[str]:
     return outcomes
 
 
+@pytest.mark.slow  # each fault has a test above
 def test_random_faults_end_in_a_right_picture_or_a_clear_error() -> None:
     outcomes = [_outcomes(seed) for seed in range(SEQUENCES)]
     errors = sum(each[-1] == "error" for each in outcomes)

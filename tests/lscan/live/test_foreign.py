@@ -61,6 +61,7 @@ def test_the_page_keeps_to_its_own_policy(chromium: Chromium, page: Page) -> Non
     assert chromium.take_errors() == []  # Chromium notes there what the policy forbade
 
 
+@pytest.mark.slow  # that no page may frame it, test_server.py reads in the header
 def test_a_foreign_page_that_frames_it_starts_nothing(
     chromium: Chromium, page: Page, tmp_path: Path
 ) -> None:
@@ -112,7 +113,7 @@ for (const mode of ["no-cors", "cors"])
 </script>"""
 
 
-@pytest.mark.parametrize("name", ["127.0.0.1", "localhost"])
+@pytest.mark.parametrize("name", [pytest.param("127.0.0.1", marks=pytest.mark.slow), "localhost"])
 def test_a_foreign_page_starts_nothing(
     chromium: Chromium, page: Page, tmp_path: Path, name: str
 ) -> None:
@@ -140,6 +141,7 @@ def with_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Page
         yield page
 
 
+@pytest.mark.slow  # the cookies and the address, test_server.py and test_access.py have
 def test_the_token_leaves_the_address_bar_and_the_history(
     chromium: Chromium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -160,6 +162,7 @@ def test_the_token_leaves_the_address_bar_and_the_history(
     chromium.take_errors()
 
 
+@pytest.mark.slow  # that the token may come by a link, test_access.py shows
 def test_a_link_with_the_token_on_another_site_opens_the_page(
     chromium: Chromium, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

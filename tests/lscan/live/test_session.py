@@ -4,6 +4,7 @@ import json
 import os
 import struct
 import threading
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_devices import FakeCamera, FakeTrack, LaserTrack, fake_rig, folder_bytes
-from live_rig import GatedTrack, SeeingCamera, live_bench, wait_for
+from live_rig import Bench, GatedTrack, SeeingCamera, live_bench, wait_for
 
 from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import acquire_into
@@ -46,6 +47,12 @@ def reference(path: Path, frames: int = 5) -> dict[str, bytes]:
     with create_run(path, fake_rig(frames)) as writer:
         acquire_into(writer, FakeCamera(track), track)
     return folder_bytes(path)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    with live_bench(monkeypatch, tmp_path) as bench:
+        yield bench
 
 
 # ---- scans ------------------------------------------------------------------------------
@@ -304,87 +311,72 @@ def test_a_failing_track_fails_the_scan_which_can_be_resumed(
     assert folder_bytes(tmp_path / "runs" / "a") == reference(tmp_path / "b")
 
 
-def test_a_failing_camera_is_reported_and_opened_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session, camera = bench.open(), bench.drivers.camera
-        frame_of(session)
-        opened = bench.drivers.opened
-        camera.fail_at = sum(camera.grabs.values()) + 1
-        wait_for(lambda: "no picture within" in session.state()["camera"]["error"])
-        wait_for(lambda: bench.drivers.opened > opened + 2)
-        camera.fail_at = None
-        wait_for(lambda: session.state()["camera"]["error"] == "")
-        frame_of(session, after=frame_of(session)["number"])
+def test_a_failing_camera_is_reported_and_opened_again(bench: Bench) -> None:
+    session, camera = bench.open(), bench.drivers.camera
+    frame_of(session)
+    opened = bench.drivers.opened
+    camera.fail_at = sum(camera.grabs.values()) + 1
+    wait_for(lambda: "no picture within" in session.state()["camera"]["error"])
+    wait_for(lambda: bench.drivers.opened > opened + 2)
+    camera.fail_at = None
+    wait_for(lambda: session.state()["camera"]["error"] == "")
+    frame_of(session, after=frame_of(session)["number"])
 
 
 @pytest.mark.parametrize("shape", [(16, 20, 4), (0, 0)])
 def test_a_picture_that_cannot_be_measured_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shape: tuple[int, ...]
+    bench: Bench, shape: tuple[int, ...]
 ) -> None:
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session, camera = bench.open(), bench.drivers.camera
-        frame_of(session)
-        camera.bad_picture = np.zeros(shape, dtype=np.uint8)
-        camera.fail_at = sum(camera.grabs.values())
-        wait_for(lambda: session.state()["camera"]["error"])
-        camera.fail_at = None
-        wait_for(lambda: session.state()["camera"]["error"] == "")
+    session, camera = bench.open(), bench.drivers.camera
+    frame_of(session)
+    camera.bad_picture = np.zeros(shape, dtype=np.uint8)
+    camera.fail_at = sum(camera.grabs.values())
+    wait_for(lambda: session.state()["camera"]["error"])
+    camera.fail_at = None
+    wait_for(lambda: session.state()["camera"]["error"] == "")
 
 
 @pytest.mark.parametrize("name", ["time_s", "exposure_ms"])
-def test_a_camera_that_reports_no_finite_number_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_camera_that_reports_no_finite_number_is_reported(bench: Bench, name: str) -> None:
     """JSON has none; the thread that measures goes on, so pictures come again after it."""
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session, camera = bench.open(), bench.drivers.camera
-        sound = camera.grab
-        frame_of(session)
-        camera.grab = lambda *given, **named: replace(sound(*given, **named), **{name: np.inf})
-        what = f"the camera reported {name} that is not finite"
-        wait_for(lambda: session.state()["camera"]["error"] == what)
-        camera.grab = sound
-        wait_for(lambda: session.state()["camera"]["error"] == "")
-        frame_of(session, after=frame_of(session)["number"])
+    session, camera = bench.open(), bench.drivers.camera
+    sound = camera.grab
+    frame_of(session)
+    camera.grab = lambda *given, **named: replace(sound(*given, **named), **{name: np.inf})
+    what = f"the camera reported {name} that is not finite"
+    wait_for(lambda: session.state()["camera"]["error"] == what)
+    camera.grab = sound
+    wait_for(lambda: session.state()["camera"]["error"] == "")
+    frame_of(session, after=frame_of(session)["number"])
 
 
-def test_a_track_that_reports_no_finite_position_is_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session, track = bench.open(), bench.drivers.track
-        frame_of(session)
-        bench.drivers.camera.track = FakeTrack()  # its pictures are made of the position
-        track.position_mm = np.nan
-        said = session.state()["track"]
-        assert (said["position_mm"], said["error"]) == (
-            None,
-            "the track reports a position that is not finite",
-        )
-        json.dumps(session.state(), allow_nan=False)
-        last = frame_of(session)["number"]
-        assert frame_of(session, after=last + 1)["position_mm"] is None
+def test_a_track_that_reports_no_finite_position_is_reported(bench: Bench) -> None:
+    session, track = bench.open(), bench.drivers.track
+    frame_of(session)
+    bench.drivers.camera.track = FakeTrack()  # its pictures are made of the position
+    track.position_mm = np.nan
+    said = session.state()["track"]
+    assert (said["position_mm"], said["error"]) == (
+        None,
+        "the track reports a position that is not finite",
+    )
+    json.dumps(session.state(), allow_nan=False)
+    last = frame_of(session)["number"]
+    assert frame_of(session, after=last + 1)["position_mm"] is None
 
 
-def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_shown(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session, camera = bench.open(), bench.drivers.camera
-        frame_of(session)
-        assert session.state()["camera"]["gone"] is False
-        camera.fail_at = sum(camera.grabs.values()) + 1
-        gone = wait_for(lambda: (state := session.state()["camera"])["gone"] and state)
-        later = wait_for(  # shown in tenths of a second
-            lambda: (
-                (state := session.state()["camera"])["seen_s_ago"] > gone["seen_s_ago"] and state
-            )
-        )
-        assert later["gone"]
-        camera.fail_at = None
-        wait_for(lambda: not session.state()["camera"]["gone"])
+def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_shown(bench: Bench) -> None:
+    session, camera = bench.open(), bench.drivers.camera
+    frame_of(session)
+    assert session.state()["camera"]["gone"] is False
+    camera.fail_at = sum(camera.grabs.values()) + 1
+    gone = wait_for(lambda: (state := session.state()["camera"])["gone"] and state)
+    later = wait_for(  # shown in tenths of a second
+        lambda: (state := session.state()["camera"])["seen_s_ago"] > gone["seen_s_ago"] and state
+    )
+    assert later["gone"]
+    camera.fail_at = None
+    wait_for(lambda: not session.state()["camera"]["gone"])
 
 
 def test_what_was_wrong_before_a_scan_is_not_said_through_it(
@@ -468,15 +460,12 @@ def test_a_lost_track_is_opened_again_only_when_it_is_to_move(
         assert session.state()["track"]["error"] == ""
 
 
-def test_devices_that_do_not_open_leave_nothing_open(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with live_bench(monkeypatch, tmp_path) as bench:
-        bench.drivers.camera.size_px = (30, 16)
-        with pytest.raises(DeviceError, match="30 by 16"):
-            bench.open()
-        assert bench.drivers.track.closed == 1
-        assert bench.drivers.camera.closed == 1
+def test_devices_that_do_not_open_leave_nothing_open(bench: Bench) -> None:
+    bench.drivers.camera.size_px = (30, 16)
+    with pytest.raises(DeviceError, match="30 by 16"):
+        bench.open()
+    assert bench.drivers.track.closed == 1
+    assert bench.drivers.camera.closed == 1
 
 
 # ---- which advice holds -----------------------------------------------------------------
@@ -604,21 +593,19 @@ def test_a_scan_in_pairs_leaves_the_laser_off(
     assert all(frame.background is not None for frame in open_run(tmp_path / "pairs").frames())
 
 
-def test_a_track_without_a_switch_refuses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session = bench.open()
-        assert session.state()["can_switch_laser"] is False
-        with pytest.raises(InputError, match="cannot switch the laser"):
-            session.switch_laser(True)
+def test_a_track_without_a_switch_refuses(bench: Bench) -> None:
+    session = bench.open()
+    assert session.state()["can_switch_laser"] is False
+    with pytest.raises(InputError, match="cannot switch the laser"):
+        session.switch_laser(True)
 
 
-def test_board_commands_need_a_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session = bench.open()
-        for command in (session.take_board, lambda: session.set_mode("board")):
-            with pytest.raises(InputError, match=r"no section \[board\]"):
-                command()
-        session.set_mode("stripe")
+def test_board_commands_need_a_board(bench: Bench) -> None:
+    session = bench.open()
+    for command in (session.take_board, lambda: session.set_mode("board")):
+        with pytest.raises(InputError, match=r"no section \[board\]"):
+            command()
+    session.set_mode("stripe")
 
 
 # ---- the newest -------------------------------------------------------------------------

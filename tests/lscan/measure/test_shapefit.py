@@ -21,9 +21,9 @@ from lscan.measure.shapes import (
 )
 from lscan.records import Floats
 
-SEEDS = 100
+SEEDS = 40
 BAND = 3 * np.sqrt(0.95 * 0.05 / SEEDS)
-"""Three standard deviations of the share of SEEDS intervals that hold the truth: 0.065."""
+"""Three standard deviations of the share of SEEDS intervals that hold the truth: 0.10."""
 
 Start = Callable[[Floats], FittedShape]
 
@@ -105,7 +105,9 @@ def test_the_design_is_the_derivative_of_the_distances(kind: str) -> None:
         np.testing.assert_allclose(design[:, parameter], change, atol=2e-4)
 
 
-@pytest.mark.parametrize("kind", STARTS)
+@pytest.mark.parametrize(
+    "kind", ["plane", "sphere", pytest.param("cylinder", marks=pytest.mark.slow)]
+)
 def test_intervals_hold_the_truth_where_noise_and_common_errors_are_as_stated(kind: str) -> None:
     truth, inside = exact(kind), []
     # Where along a cylinder its axis is looked at is no error.

@@ -22,7 +22,7 @@ from lscan.paper.experiment import (
     note,
     picture_source,
 )
-from lscan.paper.report import render_report, results_json
+from lscan.paper.report import results_json
 from lscan.paper.tables import paper_tables
 
 pytestmark = pytest.mark.xdist_group("report")
@@ -37,8 +37,8 @@ def both() -> Experiment:
 
 
 @pytest.fixture(scope="module")
-def page(both: Experiment) -> str:
-    return render_report(both)
+def page() -> str:
+    return examples.undrawn(examples.both_chains())
 
 
 def captions(text: str) -> list[str]:
@@ -58,7 +58,7 @@ def test_title_first_sentence_and_every_caption_say_that_the_tank_was_simulated(
 
 
 def test_a_report_of_real_hardware_says_nothing_of_a_simulation(both: Experiment) -> None:
-    text = render_report(replace(both, sources=dict.fromkeys(PARTS, WEBCAM)))
+    text = examples.undrawn(replace(both, sources=dict.fromkeys(PARTS, WEBCAM)))
     read = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
     assert "imulated" not in read and "noise seed" not in read
     assert "opencv (board, groove, sandwave)" in read
@@ -70,7 +70,7 @@ def test_only_the_captions_of_the_simulated_part_say_so(both: Experiment) -> Non
     assert note(sources, ["groove"]) == "Simulated tank, noise seed 7."
     assert note(sources, ["board", "groove"]) == "Groove: simulated tank, noise seed 7."
     alone = replace(examples.board_alone(), sources=sources)
-    assert "(simulated tank: groove, sandwave)" in render_report(alone)
+    assert "(simulated tank: groove, sandwave)" in examples.undrawn(alone)
 
 
 def _run(document: dict[str, Any]) -> Run:
@@ -153,7 +153,7 @@ def test_the_page_has_both_chains_side_by_side(page: str) -> None:
 def test_without_a_best_chain_the_page_says_why(both: Experiment) -> None:
     why = "run: the rig file has no section [optics]"
     alone = replace(both, best=None, best_refused=why)
-    text = render_report(replace(alone, sandwave=None, shown={}))
+    text = examples.undrawn(replace(alone, sandwave=None, shown={}))
     assert "Ours, best chain" not in text
     assert f"No best chain: {why}." in text
     tables = paper_tables(alone, paper.Bars())

@@ -17,12 +17,14 @@ from matplotlib.transforms import Bbox
 
 from lscan.config.targets import Sandwave
 from lscan.figures import style
+from lscan.paper import picturefigures
 from lscan.paper.experiment import Experiment
 from lscan.paper.report import render_report
 from lscan.paper.surfacefigures import contours_before
 
 pytestmark = pytest.mark.xdist_group("report")
 FLOOR_MM = -42.0
+SURFACES = ("raw", "levelled", "contours-before", "contours-after")
 
 
 def on_a_floor() -> Experiment:
@@ -51,10 +53,11 @@ def rendered() -> tuple[dict[str, Figure], str]:
 
     def keep(figure: Figure, key: str, alt: str) -> str:
         figures[key] = figure
-        return write(figure, key, alt)
+        return write(figure, key, alt) if key in SURFACES else "<svg></svg>"
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(style, "svg", keep)
+        patch.setattr(picturefigures, "board_figures", lambda board: ([], []))
         return figures, render_report(on_a_floor())
 
 
@@ -136,7 +139,7 @@ def test_slices_differ_in_their_dashes(drawn) -> None:
     assert lengths[0] == max(lengths)
 
 
-@pytest.mark.parametrize("key", ["raw", "levelled", "contours-before", "contours-after"])
+@pytest.mark.parametrize("key", SURFACES)
 def test_no_label_lies_on_another(drawn, key) -> None:
     boxes = _labels(drawn[key])
     assert len(boxes) >= 3

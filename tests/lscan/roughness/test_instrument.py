@@ -112,6 +112,7 @@ def test_rough_ground_alone_has_no_ripples() -> None:
     assert sum(find_ripples(whole(z, CELL_CM)) is not None for z in fields) <= 4
 
 
+@pytest.mark.slow  # rough ground alone, above
 def test_what_a_scanner_smooths_has_no_ripples() -> None:
     """Directions in which little is passed make the others stand out, and noise where nothing is:
     as many false trains as in rough ground alone, once the response is told."""
@@ -129,8 +130,8 @@ def test_what_a_scanner_smooths_has_no_ripples() -> None:
     assert sum(told is not None for _, told in found) <= 4
 
 
-@pytest.fixture
-def surface_file(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def surface_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A surface of four points a cell of 2 mm, 128 x 96 mm."""
     law, cell = PowerLaw(3.2, 0.004), 0.05
     z_cm, _ = drawn(law, (256, 192), cell, 9)
@@ -141,7 +142,7 @@ def surface_file(tmp_path: Path) -> Path:
     z = np.where(status == Status.OK, z, np.nan)
     sigma = np.where(status == Status.OK, 0.02, np.nan)
     xyz = np.stack([np.where(status == Status.OK, x, np.nan), y, z], axis=-1)
-    file = tmp_path / "surface.nc"
+    file = tmp_path_factory.mktemp("rough") / "surface.nc"
     save_surface(file, Surface(xyz, 0 * sigma, sigma, status, y[:, 0], "workpiece"))
     return file
 
@@ -170,7 +171,7 @@ def test_the_command_says_shows_and_keeps(surface_file: Path, tmp_path: Path) ->
 
 
 def test_the_command_says_that_steps_lie_in_the_patch(
-    surface_file: Path, monkeypatch: pytest.MonkeyPatch
+    surface_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A block's top 10 mm up on a quarter; a stone of 8 mm is none, nor is the ground alone."""
     surface = load_surface(surface_file)
@@ -179,9 +180,9 @@ def test_the_command_says_that_steps_lie_in_the_patch(
                         ((x < 50) & (y < 60), True)):  # fmt: skip
         raised = surface.xyz_mm + np.where(where, 10.0, 0.0)[..., None] * [0.0, 0.0, 1.0]
         assert (patch_of_cells(replace(surface, xyz_mm=raised), 2.0).steps > MOST_STEPS) == told
-    save_surface(surface_file, replace(surface, xyz_mm=raised))
+    save_surface(tmp_path / "raised.nc", replace(surface, xyz_mm=raised))
     monkeypatch.setattr("lscan.roughness.roughness_of", lambda *_, **__: 1 / 0)
-    said = CliRunner().invoke(app, ["roughness", str(surface_file), "--cell", "2"])
+    said = CliRunner().invoke(app, ["roughness", str(tmp_path / "raised.nc"), "--cell", "2"])
     assert "steps lie in the patch" in " ".join(said.stderr.split())
 
 

@@ -31,6 +31,7 @@ def test_the_whole_line_s_centroid_is_read_as_its_closed_form() -> None:
     np.testing.assert_allclose(found.at(between), transfer(between / (2 * np.pi), 1.0), atol=off)
 
 
+@pytest.mark.slow
 def test_a_fit_under_speckle_heeds_the_skirts() -> None:
     """Less is passed before the centroid's null, and more turned over, than of a fit that knows
     reading noise alone: its weights fall with the line's slope, those under speckle do not."""

@@ -144,20 +144,20 @@ def test_bragg_s_wavenumber_is_twice_the_sound_s_along_the_bottom() -> None:
 
 
 def test_the_uncertainty_is_that_of_drawn_parameters() -> None:
-    """Against the scatter of 4,000 draws: their standard deviation is known to 1.1 %, tested to 4
+    """Against the scatter of 1,000 draws: their standard deviation is known to 2.2 %, tested to 4
     of that; the strength is nearly linear in ln w2 and gamma2 over so little."""
     covariance = np.array([[0.02, 0.002], [0.002, 0.001]]) / 4
     fit = PowerLawFit(LAW, ("ln_w2", "gamma2"), covariance, 399, Band(1, 20), 500, 0.0)
     angles = np.array([15.0, 30.0, 70.0])
     told = predicted_backscatter(fit, SAND, 120.0, angles)
     draws = np.random.default_rng(3).multivariate_normal(
-        [np.log(LAW.w2_cm4), LAW.gamma2], covariance, 4000
+        [np.log(LAW.w2_cm4), LAW.gamma2], covariance, 1000
     )
     strengths = [
         backscattering_strength(PowerLaw(g, float(np.exp(w))), SAND, 120.0, angles)
         for w, g in draws
     ]
-    np.testing.assert_allclose(told.sigma_db, np.std(strengths, axis=0), rtol=0.045)
+    np.testing.assert_allclose(told.sigma_db, np.std(strengths, axis=0), rtol=0.09)
 
 
 @pytest.mark.parametrize(

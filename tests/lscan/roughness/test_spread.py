@@ -55,7 +55,10 @@ def test_a_single_wave_has_none(heading, missing, seed):
     assert found.heading_deg < np.degrees(0.01)
 
 
-@pytest.mark.parametrize(("along", "across_deg"), [(0.08, 4.0), (0.12, 8.0), (0.05, 10.0)])
+@pytest.mark.parametrize(
+    ("along", "across_deg"),
+    [(0.08, 4.0), *(pytest.param(*s, marks=pytest.mark.slow) for s in ((0.12, 8.0), (0.05, 10.0)))],
+)
 def test_the_spread_is_that_of_the_spectrum(along, across_deg):
     """The mean of 16 fields.
 

@@ -63,7 +63,7 @@ def test_a_shift_by_whole_pixels_shifts_the_line(name, seed, shift):
     assert np.array_equal(before.status, after.status)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["ml", "gaussian", "smoothed-peak"])
 @examples(12)
 @given(seed=st.integers(0, 2**32 - 1), gain=st.floats(0.2, 5.0))
 def test_gain_does_not_move_the_line_nor_its_sigma(name, seed, gain):
@@ -76,7 +76,7 @@ def test_gain_does_not_move_the_line_nor_its_sigma(name, seed, gain):
     np.testing.assert_allclose(after.sigma_px, before.sigma_px, rtol=SEARCH)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["ml", "blais-rioux", "centroid-squared"])
 @examples(12)
 @given(seed=st.integers(0, 2**32 - 1), offset=st.integers(-100, 100))
 def test_an_even_background_does_not_move_the_line(name, seed, offset):
@@ -125,9 +125,9 @@ def test_sigma_covers_the_rules_own_error_on_a_noise_free_line(name, seed, width
     assert (error * (1 - 2 * np.pi * error.max()) <= stripe.sigma_px).all()
 
 
-@pytest.mark.parametrize("width", [0.8, 1.5, 3.0])
-@pytest.mark.parametrize("ratio", [10, 200])
-@pytest.mark.parametrize("shot", [0.0, 0.64])
+@pytest.mark.parametrize(
+    ("width", "ratio", "shot"), [(0.8, 10, 0.64), (0.8, 200, 0.0), (1.5, 200, 0.64), (3.0, 10, 0.0)]
+)
 def test_ml_reaches_the_bound_without_bias(width, ratio, shot):
     rng = np.random.default_rng(7)
     height, ground = 150.0, 20.0
@@ -147,8 +147,10 @@ def test_ml_reaches_the_bound_without_bias(width, ratio, shot):
         assert abs(part.mean()) <= 0.01 + 3.3 * bound / np.sqrt(len(part))
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(
+    ("name", "stated"),
+    [*((name, True) for name in NAMES), ("ml", False), ("centroid-squared", False)],
+)
 def test_sigma_is_the_scatter_over_random_lines(name, stated):
     rng = np.random.default_rng(8)
     pulls = []
@@ -169,7 +171,7 @@ def test_sigma_is_the_scatter_over_random_lines(name, stated):
     assert 0.85 <= (pull**2).mean() <= 1.15
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", ["ml", "gaussian"])
 @examples(10)
 @given(seed=st.integers(0, 2**32 - 1), more=st.floats(1.1, 4.0))
 def test_sigma_rises_with_the_noise(name, seed, more):
@@ -201,12 +203,11 @@ def test_speckle_moves_the_centroid_of_squares_as_the_closed_form_says(width, co
 # -- saturation ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("width", "height"), [(0.8, 400.0), (1.2, 400.0), (2.0, 400.0)])
-@pytest.mark.parametrize("stated", [True, False])
-def test_ml_sees_past_a_clipped_crest_and_knows_how_well(width, height, stated):
+@pytest.mark.parametrize(("width", "stated"), [(0.8, True), (1.2, False), (2.0, True)])
+def test_ml_sees_past_a_clipped_crest_and_knows_how_well(width, stated):
     rng = np.random.default_rng(9)
     centre = np.concatenate([centres_of(rng) for _ in range(2)])
-    seen = noisy(rng, light_of(centre, width, height), 20.0, 1.5, 0.1)
+    seen = noisy(rng, light_of(centre, width, 400.0), 20.0, 1.5, 0.1)
     image = np.clip(seen, 0, 255).astype(np.uint8)
     noise = settings_for(1.5, 0.1).noise if stated else None
     found = {

@@ -1,12 +1,10 @@
 """What is found in windows, on integers or by counting is what the whole picture gives."""
 
-import cv2
 import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 from lines_drawn import drawn, speckled
-from scipy.special import ndtr
 
 from lscan.config.plugins import installed
 from lscan.config.rig import StripeSection
@@ -14,9 +12,7 @@ from lscan.records import Bytes, Floats, Mask, Stripe
 from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.api import takes_integers
 from lscan.stripe.extract import extract_stripes
-from lscan.stripe.fit import _ndtr
 from lscan.stripe.peaks import (
-    _opening,
     crests,
     medians,
     order_statistic,
@@ -83,12 +79,6 @@ def test_lines_found_together_are_those_of_each_picture(
         np.testing.assert_array_equal([stripe.peak, stripe.flux], [alone.peak, alone.flux])
 
 
-def test_the_tabulated_integral_of_a_gaussian_is_that() -> None:
-    x = np.random.default_rng(1).uniform(-12, 12, 10_000)
-    x = np.concatenate([x, [-1e3, -40.0, 0.0, 40.0, 1e3]])
-    np.testing.assert_allclose(_ndtr(x, np.exp(-(x**2) / 2)), ndtr(x), rtol=0, atol=5e-13)
-
-
 def test_one_line_needs_no_more_than_its_windows() -> None:
     image = picture(1, 130.0, 2.0, 200.0, 0)
     assert spots_near(np.ascontiguousarray(image.T), 30.0) is not None
@@ -97,15 +87,6 @@ def test_one_line_needs_no_more_than_its_windows() -> None:
 def test_without_a_bright_pixel_there_is_no_spot() -> None:
     found = spots_near(np.full((WIDTH, HEIGHT), 7, np.uint8), 15.0)
     assert found is not None and len(found.column) == 0
-
-
-@FEW
-@given(image=pictures, size=st.sampled_from([13, 21, 61]), first=st.integers(0, 200))
-def test_an_opening_by_halves_is_opencv_s(image: Bytes, size: int, first: int) -> None:
-    values = image.astype(np.float32)
-    expected = cv2.morphologyEx(values, cv2.MORPH_OPEN, np.ones((size, 1), np.uint8))
-    rows = slice(first, first + 20)
-    np.testing.assert_array_equal(_opening(values, size, rows), expected[rows])
 
 
 @FEW

@@ -95,13 +95,9 @@ def test_layers_are_kept_to_a_rounding_of_their_logarithm(light):
 
 @pytest.mark.parametrize("shape", [(48, 160), (47, 160, 3), (48, 160, 4)])
 def test_layers_of_another_size_are_refused(folder, tmp_path, shape):
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
-    content = encoded(np.zeros(shape, np.uint8), ".png")
-    (copy / "case-000" / "layers.png").write_bytes(content)
-    of = open_suite(copy).content
-    members = {**of.members, "case-000/layers.png": member_sum(content)}
-    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    copy = _harmed(
+        folder, tmp_path, "case-000/layers.png", encoded(np.zeros(shape, np.uint8), ".png")
+    )
     assert "case-000 differ in size" in _refused(copy)
 
 
@@ -148,12 +144,7 @@ def test_a_board_is_read_as_it_was_written(boards):
 )
 def test_a_harmed_board_is_refused_by_its_member(boards, tmp_path, member, content, said):
     """Though the manifest has the checksum of what is there."""
-    copy = tmp_path / "copy"
-    shutil.copytree(boards[0], copy)
-    (copy / "board-000" / member).write_bytes(content)
-    of = open_suite(copy).content
-    members = {**of.members, f"board-000/{member}": member_sum(content)}
-    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    copy = _harmed(boards[0], tmp_path, f"board-000/{member}", content)
     assert said in _refused(copy)
 
 
@@ -201,12 +192,7 @@ LINE_HEAD = b"x_mm,z_mm,height_dn,multiple,status\n"
 )
 def test_a_harmed_scan_is_refused_by_its_member(scans, tmp_path, member, content, said):
     """Though the manifest has the checksum of what is there."""
-    copy = tmp_path / "copy"
-    shutil.copytree(scans[0], copy)
-    (copy / "scan-000" / member).write_bytes(content)
-    of = open_suite(copy).content
-    members = {**of.members, f"scan-000/{member}": member_sum(content)}
-    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    copy = _harmed(scans[0], tmp_path, f"scan-000/{member}", content)
     assert said in _refused(copy)
 
 
@@ -223,6 +209,16 @@ def test_an_archive_has_the_same_bytes_each_time(folder, archive, tmp_path):
     again = tmp_path / "again.zip"
     pack_suite(folder, again)
     assert again.read_bytes() == archive.read_bytes()
+
+
+def _harmed(folder, tmp_path, member, content):
+    """A copy of the suite one of whose members is other, and has the checksum of what is there."""
+    copy = Path(shutil.copytree(folder, tmp_path / "copy"))
+    (copy / member).write_bytes(content)
+    of = open_suite(copy).content
+    members = {**of.members, member: member_sum(content)}
+    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    return copy
 
 
 def _refused(path):

@@ -104,10 +104,10 @@ def test_a_yawed_track_is_unsheared() -> None:
 
 
 def test_sigma_covers_the_noise_of_the_correction() -> None:
-    """100 noisy scans: the shift's scatter is known to 1 / sqrt(200) = 7 %."""
+    """60 noisy scans: the shift's scatter is known to 1 / sqrt(120) = 9 %, four of which."""
     generator = np.random.default_rng(3)
     shifts, sigmas = [], []
-    for _ in range(100):
+    for _ in range(60):
         surface = replace(
             scan(lambda x, y: 0.01 * y**2, 17, 13, generator.normal(0, 0.05, (17, 13))),
             sigma_z_mm=np.full((17, 13), 0.05),
@@ -116,7 +116,7 @@ def test_sigma_covers_the_noise_of_the_correction() -> None:
         shifts.append((surface.xyz_mm - moved.xyz_mm)[8, 6, 2])
         sigmas.append(np.sqrt(moved.sigma_z_mm**2 - surface.sigma_z_mm**2)[8, 6])
     # The stated variance takes the larger of what is stated and what is found: 10 % more.
-    assert np.std(shifts) == pytest.approx(np.sqrt(np.mean(np.square(sigmas))), rel=0.28 + 0.1)
+    assert np.std(shifts) == pytest.approx(np.sqrt(np.mean(np.square(sigmas))), rel=0.36 + 0.1)
 
 
 def test_points_without_neighbours_keep_their_place_and_say_so() -> None:

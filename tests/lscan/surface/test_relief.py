@@ -116,7 +116,7 @@ def test_the_response_is_that_of_the_integral() -> None:
 # --- the spectrum -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("wave_mm", [4.0, 6.0, 10.0])
+@pytest.mark.parametrize("wave_mm", [pytest.param(4.0, marks=pytest.mark.slow), 10.0])
 def test_what_the_series_leaves_of_a_wave_is_stated(wave_mm: float) -> None:
     """Of small waves at one wavenumber; where they are long the scan's few of them blur it."""
     x, y = np.meshgrid(np.arange(-5.0, 5.0, 0.25), np.arange(0.0, 60.0, 0.25))
@@ -170,6 +170,11 @@ def bed() -> tuple[Floats, Surface]:
     return true, scan(seen, 0.03, generator)
 
 
+@pytest.fixture(scope="module")
+def corrected(bed: tuple[Floats, Surface]) -> Surface:
+    return correct_thickness(bed[1], SHEET)
+
+
 def _errors(surface: Surface, true: Floats) -> Floats:
     """Errors away from the scan's ends and from the seams of its eight profiles."""
     inner = np.zeros(true.shape, dtype=bool)
@@ -180,10 +185,12 @@ def _errors(surface: Surface, true: Floats) -> Floats:
     return np.asarray(np.where(inner, off, np.nan))
 
 
-def test_fine_relief_is_recovered_and_its_intervals_hold(bed: tuple[Floats, Surface]) -> None:
+def test_fine_relief_is_recovered_and_its_intervals_hold(
+    bed: tuple[Floats, Surface], corrected: Surface
+) -> None:
     """What the series leaves is halved; of some 8 x 136 independent heights 95 % hold to 4 %."""
     true, surface = bed
-    moved = correct_thickness(surface, SHEET)
+    moved = corrected
     assert "relief down to waves of" in moved.corrections[-1]
     raw, found = _errors(surface, true), _errors(moved, true)
     shift, _ = series_shifts(surface, SHEET, 0.0)
@@ -207,7 +214,9 @@ def test_smooth_targets_are_left_to_the_series() -> None:
     assert "relief" not in moved.corrections[-1]
 
 
-def test_walls_and_gaps_keep_the_relief_apart(bed: tuple[Floats, Surface]) -> None:
+def test_walls_and_gaps_keep_the_relief_apart(
+    bed: tuple[Floats, Surface], corrected: Surface
+) -> None:
     """A step of 30 mm and a gap change nothing 25 mm away from them, and leave finite sigmas."""
     _, surface = bed
     xyz = surface.xyz_mm.copy()
@@ -215,7 +224,7 @@ def test_walls_and_gaps_keep_the_relief_apart(bed: tuple[Floats, Surface]) -> No
     xyz[60:64] = np.nan
     status = np.where(np.isfinite(xyz[..., 2]), 0, 1)
     broken = replace(surface, xyz_mm=xyz, status=status.astype(np.int64))
-    moved, whole = correct_thickness(broken, SHEET), correct_thickness(surface, SHEET)
+    moved, whole = correct_thickness(broken, SHEET), corrected
     np.testing.assert_array_equal(np.isfinite(moved.xyz_mm[..., 2]), status == 0)
     assert np.isfinite(moved.sigma_z_mm[status == 0]).all()
     far = np.s_[:30, :, 2]
@@ -224,14 +233,14 @@ def test_walls_and_gaps_keep_the_relief_apart(bed: tuple[Floats, Surface]) -> No
 
 
 def test_neither_the_way_of_the_track_nor_a_mirrored_camera_matters(
-    bed: tuple[Floats, Surface],
+    bed: tuple[Floats, Surface], corrected: Surface
 ) -> None:
     """The same points, last profile and last column first.
 
     Spectra are then taken of other segments: the heights differ by a tenth of their uncertainty.
     """
     _, surface = bed
-    one = correct_thickness(surface, SHEET)
+    one = corrected
     other = correct_thickness(_picked(surface, np.s_[::-1], np.s_[::-1]), SHEET)
     assert "relief down to waves of" in other.corrections[-1]
     change = other.xyz_mm[::-1, ::-1, 2] - one.xyz_mm[..., 2]
@@ -272,6 +281,7 @@ def test_a_sheet_far_thicker_than_a_profile_s_step(row_mm: float) -> None:
     assert np.isfinite(moved.xyz_mm).all() and np.isfinite(moved.sigma_z_mm).all()
 
 
+@pytest.mark.slow  # smooth targets are left to the series above
 def test_kinks_of_a_smooth_target_are_left_to_the_series() -> None:
     """A ridge no steeper than a slope may be has a wide spectrum, and no fine relief around it."""
     generator = np.random.default_rng(7)

@@ -118,10 +118,10 @@ def test_a_plane_that_serves_states_its_lack_of_fit() -> None:
 def test_sigma_is_the_scatter_of_repeated_scans() -> None:
     noise = 0.1
     flat = np.zeros((301, 167))
-    cuts = [resample(gridded(flat, noise, seed), LINE, step_mm=5.0) for seed in range(100)]
+    cuts = [resample(gridded(flat, noise, seed), LINE, step_mm=5.0) for seed in range(50)]
     scatter = np.std([cut.z_mm for cut in cuts], axis=0)
-    # The scatter of 100 draws is known to 1 / sqrt(200) = 7 %; four times that.
-    np.testing.assert_allclose(scatter, cuts[0].sigma_z_mm, rtol=0.28)
+    # The scatter of 50 draws is known to 1 / sqrt(100) = 10 %; four times that.
+    np.testing.assert_allclose(scatter, cuts[0].sigma_z_mm, rtol=0.4)
     assert (cuts[0].sigma_z_mm < noise).all()
 
 

@@ -159,8 +159,8 @@ def uncertain(seed: int = 3) -> Shaft:
 
 
 def test_uncertainties_of_points_are_their_scatter() -> None:
-    """Noise, a mode of the plane map and the shaft's five errors, drawn 4000 times."""
-    generator, shaft, draws = np.random.default_rng(5), uncertain(), 4000
+    """Noise, a mode of the plane map and the shaft's five errors, drawn 1000 times."""
+    generator, shaft, draws = np.random.default_rng(5), uncertain(), 1000
     xz = np.array([[-80.0, -330.0], [10.0, -300.0], [90.0, -350.0]])
     own = np.array([[0.3, 0.2]] * 3)
     mode = np.array([[0.5, 0.0], [0.4, 0.3], [0.0, -0.6]])[..., None]
@@ -179,8 +179,8 @@ def test_uncertainties_of_points_are_their_scatter() -> None:
             found[k, f] = turned(true, points, s)
     assert stated.sigma_y_mm is not None
     sigmas = np.stack([stated.sigma_x_mm, stated.sigma_y_mm, stated.sigma_z_mm], axis=-1)
-    # A standard deviation of 4000 draws is known to 1/sqrt(8000) = 1.1 %: five of those.
-    np.testing.assert_allclose(found.std(axis=0), sigmas, rtol=0.056)
+    # A standard deviation of 1000 draws is known to 1/sqrt(2000) = 2.2 %: five of those.
+    np.testing.assert_allclose(found.std(axis=0), sigmas, rtol=0.112)
     assert stated.modes_mm is not None
     assert stated.modes_mm.shape == (2, 3, 3, 1 + PARAMETERS)
     # What two points have in common is their modes' product, here of the heights of two frames.

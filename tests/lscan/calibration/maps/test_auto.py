@@ -1,6 +1,8 @@
 """Cross-validation of plane maps, and the choice that rests on it."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,7 @@ from hypothesis import given, strategies as st
 from planeviews import BARREL, View, affine, board_points, paper_board, read_board
 
 from lscan.calibration import calibrate as crossvalidation
-from lscan.calibration.calibrate import Score, calibrate, deal, resolve, try_maps
+from lscan.calibration.calibrate import Calibration, Score, calibrate, deal, resolve, try_maps
 from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.calibration.maps import auto
 from lscan.calibration.maps.auto import Auto, best_first, calibrate_best
@@ -33,6 +35,17 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _reading(seed: int = 1, noise_px: float = NOISE_PX) -> BoardReading:
     return read_board(BOARD, BARREL.project, noise_px, np.random.default_rng(seed))
+
+
+@cache
+def _best() -> Auto:
+    """The best of the three for the reading, under the fixture ``quick``."""
+    return auto.solver.solve(_reading(), "")
+
+
+@cache
+def _calibrated() -> Calibration:
+    return calibrate(_reading(), "auto")
 
 
 def _scores(*arguments: Any, **options: Any) -> list[Score]:
@@ -75,7 +88,7 @@ def test_no_fold_takes_a_border_away() -> None:
         assert max(np.bincount(line).max() for line in lines) <= 4
 
 
-@pytest.mark.parametrize("name", ["spline", "polynomial-5", "graticule-2", "projective"])
+@pytest.mark.parametrize("name", ["spline", "graticule-2"])
 def test_nothing_leaks_from_marks_held_out(name: str) -> None:
     """A map solved without them is the same number for number wherever they lie."""
     reading = _reading()
@@ -241,7 +254,7 @@ def test_slow_maps_are_solved_fewer_times_and_judged_on_all_marks(
 @pytest.mark.usefixtures("quick")
 def test_calibrate_best_is_calibrate_by_auto() -> None:
     reading, reported = _reading(), []
-    one = calibrate(reading, "auto")
+    one = _calibrated()
     other = calibrate_best(reading, None, lambda done, total: reported.append(done))
     assert reported == [0, 1, 2, 3]
     assert other.plane_map.parameters() == one.plane_map.parameters()
@@ -252,7 +265,7 @@ def test_calibrate_best_is_calibrate_by_auto() -> None:
 @pytest.mark.usefixtures("quick")
 def test_auto_is_the_best_map_itself() -> None:
     reading, image = _reading(), BARREL.project(board_points(100, seed=4))
-    solved = auto.solver.solve(reading, "")
+    solved = _best()
     assert solved.scores[0].name == solved.chosen.name == "spline"
     assert [score.name for score in solved.scores if score.refused] == ["nothing"]
     alone = find_solver("spline").solve(reading).to_plane(image)
@@ -262,7 +275,7 @@ def test_auto_is_the_best_map_itself() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-@examples(2)
+@examples(1)
 @given(scale=st.floats(0.1, 10.0), shift=st.tuples(st.floats(-500, 500), st.floats(-500, 500)))
 def test_auto_is_equivariant_in_pitch_and_origin(scale: float, shift: tuple[float, float]) -> None:
     reading = _reading()
@@ -277,7 +290,7 @@ def test_auto_is_equivariant_in_pitch_and_origin(scale: float, shift: tuple[floa
     moved = replace(
         reading, pitch_mm=scale * reading.pitch_mm, grid=move(reading.grid), rulers=rulers
     )
-    one, other = auto.solver.solve(reading, ""), auto.solver.solve(moved, "")
+    one, other = _best(), auto.solver.solve(moved, "")
     assert one.chosen.name == other.chosen.name
     for before, after in zip(one.scores, other.scores, strict=True):
         assert before.name == after.name
@@ -287,7 +300,7 @@ def test_auto_is_equivariant_in_pitch_and_origin(scale: float, shift: tuple[floa
 
 @pytest.mark.usefixtures("quick")
 def test_the_file_keeps_the_choice_and_the_table(tmp_path: Path) -> None:
-    saved = calibrate(_reading(), "auto")
+    saved = _calibrated()
     save_calibration(tmp_path / "c.json", saved)
     loaded = load_calibration(tmp_path / "c.json")
     assert loaded.name == "auto"
@@ -308,7 +321,7 @@ def test_auto_refusals() -> None:
     row = replace(read_board(BOARD, affine, missing=single.ravel()), rulers=())
     with pytest.raises(BoardNotFound, match="no plane map could be solved"):
         auto.solver.solve(row, "")
-    parameters = auto.solver.solve(_reading(), "").parameters()
+    parameters = deepcopy(_best().parameters())
     with pytest.raises(InputError, match="chosen"):
         auto.solver.restore("", {**parameters, "chosen": "auto"})
 
@@ -324,12 +337,13 @@ def test_auto_refusals() -> None:
 )
 @pytest.mark.usefixtures("quick")
 def test_scores_that_nobody_wrote_are_refused(change: dict[str, Any], said: str) -> None:
-    parameters = auto.solver.solve(_reading(), "").parameters()
+    parameters = deepcopy(_best().parameters())
     parameters["scores"][0] |= change
     with pytest.raises(InputError, match=said):
         auto.solver.restore("", parameters)
 
 
+@pytest.mark.slow  # a wrong mark of test_refractive.py: a fit begun nearby ends at the same map
 def test_a_search_begun_at_the_whole_board_ends_where_others_end(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -348,6 +362,7 @@ def test_a_search_begun_at_the_whole_board_ends_where_others_end(
 
 def test_a_map_solved_for_its_score_is_not_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(auto, "CANDIDATES", ("refractive",))
+    monkeypatch.setitem(crossvalidation.FEWER_FOLDS, "refractive", 4)
     reading, alone = _reading(), find_solver("refractive").solve(_reading())
     chosen = auto.solver.solve(reading, "").chosen
     assert chosen.parameters() == alone.parameters()

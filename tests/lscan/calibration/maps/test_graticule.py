@@ -17,9 +17,8 @@ from lscan.calibration.maps.graticule import (
     solver,
 )
 from lscan.calibration.maps.graticulelines import GridLine, fit_lines
-from lscan.calibration.planemap import find_solver
 from lscan.config.board import Board
-from lscan.errors import BoardNotFound, InputError
+from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats, Marks, Status
 
 BOARD = paper_board()
@@ -318,12 +317,6 @@ def test_too_few_marks() -> None:
     missing[0, :] = missing[5, :2] = False
     with pytest.raises(BoardNotFound, match="two latitude lines of 3 control points"):
         solver.solve(read_board(BOARD, affine, missing=missing.ravel()), "2")
-
-
-@pytest.mark.parametrize("name", ["graticule", "graticule-3", "graticule-2-rulers"])
-def test_unknown_variant(name: str) -> None:
-    with pytest.raises(InputError, match="graticule-2-norulers"):
-        find_solver(name).solve(read_board(BOARD, affine))
 
 
 # --- curves for the report ----------------------------------------------------------------

@@ -179,13 +179,17 @@ def test_vectorised_is_one_by_one(name: str) -> None:
 # --- refusals -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["projective-2", "polynomial", "polynomial-0", "polynomial-x"])
+@pytest.mark.parametrize(
+    "name", ["projective-2", "polynomial-0", "polynomial-x", "graticule-3", "refractive-2"]
+)
 def test_unknown_variant(name: str) -> None:
     with pytest.raises(InputError, match="allowed"):
         find_solver(name).solve(read_board(BOARD, affine))
 
 
-@pytest.mark.parametrize("name", ["projective", "polynomial-2", "polynomial-9", "graticule-1"])
+@pytest.mark.parametrize(
+    "name", ["projective", "polynomial-2", "polynomial-9", "graticule-1", "refractive"]
+)
 def test_a_single_row_is_no_board(name: str) -> None:
     missing = np.ones((10, 10), dtype=bool)
     missing[3] = False

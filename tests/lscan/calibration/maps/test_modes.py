@@ -45,7 +45,9 @@ def test_the_graticule_knows_of_none() -> None:
     assert solved.to_plane(np.full((3, 2), 200.0)).modes_mm is None
 
 
-@pytest.mark.parametrize("name", ["projective", "polynomial-3", "polynomial-5"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("projective", marks=pytest.mark.slow), "polynomial-5"]
+)
 def test_covariance_between_points(name: str) -> None:
     """Differences of points and means of points over 150 resampled boards, over what the
     modes state.  A standard deviation from n trials has a relative one of 1/sqrt(2(n - 1));

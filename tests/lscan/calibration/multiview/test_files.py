@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from lscan.camera import CameraModel, project
 from lscan.cli.calibrate import calibrate_metric as command
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
-from lscan.files.pictures import read_picture, write_picture
+from lscan.files.pictures import encoded, read_picture, write_picture
 from lscan.records import BoardReading, Bytes, Floats, Marks
 
 CHESSBOARD = '[board]\nkind = "chessboard"\ncolumns = 8\nrows = 6\nsquare_mm = 25.0\n'
@@ -191,10 +192,18 @@ def drawn(camera: CameraModel, rotation: Floats, place: Floats) -> Bytes:
 
 def write_pictures(folder: Path) -> Path:
     """Views in air: the paper's camera without distortion, five chessboards with a line."""
+    for name, content in pictures().items():
+        (folder / name).write_bytes(content)
+    return folder / "views.toml"
+
+
+@cache
+def pictures() -> dict[str, bytes]:
+    """The files of :func:`write_pictures` by name."""
     rig = paper_rig(water=False)
     camera = CameraModel(850.0, (319.5, 239.5))
     text = CHESSBOARD + '[optics]\nport = "none"\n[stripe]\nthreshold_dn = 30.0\n'
-    rng = np.random.default_rng(3)
+    found, rng = {}, np.random.default_rng(3)
     for number, pose in enumerate(poses(rig, rng, 6)):
         plain = drawn(camera, pose.rotation, pose.place_mm)
         lit = plain.astype(float)
@@ -205,11 +214,10 @@ def write_pictures(folder: Path) -> Path:
         centre = np.interp(np.arange(SIZE[0]), line[order, 0], line[order, 1])
         profile = np.exp(-((np.arange(SIZE[1])[:, None] - centre) ** 2) / (2 * 1.5**2))
         lit[:, :, 0] += 100 * profile * (np.ptp(line[:, 0]) > np.ptp(line[:, 1]))
-        write_picture(folder / f"p{number}.png", plain)
-        write_picture(folder / f"l{number}.png", np.clip(lit, 0, 255).astype(np.uint8))
+        found[f"p{number}.png"] = encoded(plain, ".png")
+        found[f"l{number}.png"] = encoded(np.clip(lit, 0, 255).astype(np.uint8), ".png")
         text += f'[[view]]\npicture = "p{number}.png"\nlaser = "l{number}.png"\n'
-    (folder / "views.toml").write_text(text)
-    return folder / "views.toml"
+    return found | {"views.toml": text.encode()}
 
 
 def test_the_command_goes_all_the_way(tmp_path: Path) -> None:
@@ -277,6 +285,7 @@ def test_pictures_of_the_views_are_written_where_asked(tmp_path: Path) -> None:
     assert used.line_used and on_line == used.points_found
 
 
+@pytest.mark.slow
 def test_a_camera_is_kept_and_used_for_a_later_sheet(tmp_path: Path) -> None:
     """The boards without lines give the camera; two poses with lines then give the sheet."""
     path = write_pictures(tmp_path)
@@ -330,7 +339,7 @@ def test_a_spoilt_camera_file_is_refused(tmp_path: Path) -> None:
         load_camera(tmp_path / "a.json")
 
 
-@pytest.mark.parametrize("kept", [3, 8])
+@pytest.mark.parametrize("kept", [pytest.param(3, marks=pytest.mark.slow), 8])
 def test_a_board_of_which_little_is_left_is_a_fault_of_its_view(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kept: int
 ) -> None:

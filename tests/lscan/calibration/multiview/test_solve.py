@@ -19,18 +19,14 @@ from metricviews import (
     views_of,
     with_noise,
 )
-from places import PHOTOGRAPHS
 
-from lscan.board.chessboard import read_chessboard
-from lscan.calibration.metric.solve import calibrate_camera, calibrate_metric, fit_views
+from lscan.calibration.metric.solve import calibrate_camera, calibrate_metric
 from lscan.calibration.metric.views import CalibrationView
-from lscan.camera.posedboards import CAMERA, priors_of
+from lscan.camera.posedboards import CAMERA
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError
-from lscan.files.pictures import read_picture
 from lscan.records import Floats, Status
 
-PHOTOGRAPHS = PHOTOGRAPHS / "webcam"
 LENS = [CAMERA.index(name) for name in ("focal_px", "centre_u_px", "centre_v_px", "k1", "k2")]
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -41,7 +37,7 @@ def grid_px() -> Floats:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-@examples(6)
+@examples(2)
 @given(rig=rigs(water=False), seed=SEEDS)
 def test_exact_marks_give_the_camera_and_the_sheet(rig: Rig, seed: int) -> None:
     boards = poses(rig, np.random.default_rng(seed))
@@ -59,7 +55,7 @@ def test_exact_marks_give_the_camera_and_the_sheet(rig: Rig, seed: int) -> None:
     )
 
 
-@examples(6)
+@examples(2)
 @given(rig=rigs(water=True), seed=SEEDS)
 def test_exact_marks_through_a_known_port_give_the_map(rig: Rig, seed: int) -> None:
     boards = poses(rig, np.random.default_rng(seed))
@@ -149,6 +145,7 @@ def test_a_view_that_fits_worse_than_the_others_is_named() -> None:
     assert found.views[4].used and "times the usual" in found.views[4].reason
 
 
+@pytest.mark.slow  # one bad view is named above
 def test_views_that_are_far_off_do_not_hide_one_another() -> None:
     """Two of eight, 100 times as far off as the others: what they show does not set the scale."""
     rig, rng = paper_rig(), np.random.default_rng(22)
@@ -225,20 +222,3 @@ def test_a_prior_out_of_range_is_refused() -> None:
     unchecked = OpticsSection().model_copy(update={"water_index": (0.5, 0.1)})
     with pytest.raises(InputError, match=r"optics\.water_index"):
         calibrate_metric(views, unchecked, SIZE)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not PHOTOGRAPHS.is_dir(), reason="the photographs are not here")
-def test_real_chessboards() -> None:
-    """16 photographs of a cheap webcam: OpenCV's own calibrateCamera leaves 0.225 px."""
-    views = []
-    for number in range(16):
-        image = read_picture(PHOTOGRAPHS / f"frame{number}.jpg")
-        views.append(CalibrationView(f"frame{number}", read_chessboard(image, 11, 6, 20.0)))
-    size = (image.shape[1], image.shape[0])
-    optics = OpticsSection(port="none")
-    used = fit_views(views, optics, priors_of(optics, size, assume_webcam=False), size)
-    assert len(used.numbers) == 16
-    miss, good = used.fit.marks.missed_px(used.fit.boards), used.fit.good
-    assert good.sum() >= len(good) - 2
-    assert np.sqrt((miss[good] ** 2).sum(axis=1).mean()) <= 0.225

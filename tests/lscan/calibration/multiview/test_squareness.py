@@ -27,8 +27,9 @@ def squeezed(height: float, water: bool, noise_px: float = NOISE_PX) -> list[Cal
     return found
 
 
-@pytest.mark.parametrize("height", [0.75, 0.98, 4 / 3])
-@pytest.mark.parametrize("water", [False, True])
+@pytest.mark.parametrize(
+    ("height", "water"), [pytest.param(0.75, True, marks=pytest.mark.slow), (0.98, False)]
+)
 def test_oblong_pixels_are_refused_and_told(height: float, water: bool) -> None:
     """The size to scale to is that of the square-pixelled picture, to a pixel or two in 480."""
     rig = paper_rig(water)

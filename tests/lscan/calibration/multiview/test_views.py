@@ -5,6 +5,7 @@ lamps and by a Gaussian laser line where the true sheet meets it.
 """
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -17,7 +18,7 @@ from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.metric.views import CalibrationView, load_views, read_views
 from lscan.camera import CameraModel, project
 from lscan.errors import BoardNotFound, InputError
-from lscan.files.pictures import write_picture
+from lscan.files.pictures import encoded, write_picture
 from lscan.records import Bytes, Floats
 
 COLUMNS, ROWS, SQUARE_MM, MARKER_MM = 5, 4, 40.0, 32.0
@@ -101,35 +102,47 @@ def level_poses() -> list[Pose]:
 
 def found(folder: Path, kind: str, way: str) -> tuple[list[CalibrationView], list[Pose]]:
     """The views of a file whose line is shown in one of the ways; written and read."""
+    for name, content in files(kind, way).items():
+        (folder / name).write_bytes(content)
+    views, size = read_views(load_views(folder / "views.toml"))
+    assert size == SIZE
+    return views, level_poses()
+
+
+@cache
+def files(kind: str, way: str) -> dict[str, bytes]:
+    """The views file and its pictures, by name."""
+    drawn: dict[str, bytes] = {}
+
+    def add(name: str, seen: Bytes) -> str:
+        drawn[name] = encoded(seen, ".png")
+        return name
+
     text = (CHARUCO if kind == "charuco" else CHESSBOARD) + STRIPE
     if way == "same":  # a red line across a corner would draw it aside
         text = 'channel = "green"\n' + text
     boards, rng, print_ = level_poses(), np.random.default_rng(6), printed(kind)
     for number, pose in enumerate(boards):
         seen = albedo(print_, pose)
-        plain, lit, dim = (folder / f"{name}{number}.png" for name in ("plain", "lit", "dim"))
         text += "[[view]]\n"
         if way == "same":
-            write_picture(plain, picture(seen, pose, Lights(60, 200), rng))
-            text += f'picture = "{plain.name}"\nlaser = "same"\n'
+            plain = add(f"plain{number}.png", picture(seen, pose, Lights(60, 200), rng))
+            text += f'picture = "{plain}"\nlaser = "same"\n'
             continue
-        write_picture(plain, picture(seen, pose, Lights(220), rng))
+        plain = add(f"plain{number}.png", picture(seen, pose, Lights(220), rng))
         lamps = 220 if way == "pair" else 100
-        write_picture(lit, picture(seen, pose, Lights(lamps, 100), rng))
-        text += f'picture = "{plain.name}"\nlaser = "{lit.name}"\n'
+        lit = add(f"lit{number}.png", picture(seen, pose, Lights(lamps, 100), rng))
+        text += f'picture = "{plain}"\nlaser = "{lit}"\n'
         if way == "background":
-            write_picture(dim, picture(seen, pose, Lights(100), rng))
-            text += f'background = "{dim.name}"\n'
-        elif way == "none":
-            text += 'background = "none"\n'
-    (folder / "views.toml").write_text(text)
-    views, size = read_views(load_views(folder / "views.toml"))
-    assert size == SIZE
-    return views, boards
+            dim = add(f"dim{number}.png", picture(seen, pose, Lights(100), rng))
+            text += f'background = "{dim}"\n'
+    return drawn | {"views.toml": text.encode()}
 
 
-@pytest.mark.parametrize("kind", ["charuco", "chessboard"])
-@pytest.mark.parametrize("way", ["same", "background"])
+@pytest.mark.parametrize(
+    ("kind", "way"),
+    [pytest.param("charuco", "same", marks=pytest.mark.slow), ("chessboard", "background")],
+)
 def test_board_and_line_are_where_they_are(tmp_path: Path, kind: str, way: str) -> None:
     views, boards = found(tmp_path, kind, way)
     assert [view.fault for view in views] == [""] * POSES
@@ -156,9 +169,10 @@ def test_board_and_line_are_where_they_are(tmp_path: Path, kind: str, way: str) 
         assert (view.line.sigma_px > 0).all()
 
 
-@pytest.mark.parametrize("kind", ["charuco", "chessboard"])
-def test_the_sheet_comes_out_of_each_printed_board(tmp_path: Path, kind: str) -> None:
-    views, _ = found(tmp_path, kind, "pair")
+@pytest.mark.slow  # test_files.py has it by the command, of a chessboard
+def test_the_sheet_comes_out_of_a_printed_board(tmp_path: Path) -> None:
+    """As test_files.py has it out of a chessboard."""
+    views, _ = found(tmp_path, "charuco", "pair")
     solved = calibrate_metric(views, known(RIG), SIZE)
     assert all(view.used for view in solved.views)
     pixels = np.array([[260.0, 180.0], [380.0, 180.0], [320.0, 300.0]])
@@ -189,6 +203,7 @@ def test_the_background_named_is_the_one_subtracted(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again[1].line.image_px, views[1].line.image_px)
 
 
+@pytest.mark.slow
 def test_a_line_that_is_not_there_is_a_fault_of_its_view(tmp_path: Path) -> None:
     _, boards = found(tmp_path, "chessboard", "background")
     dark = picture(

@@ -113,6 +113,7 @@ class TestTrackOnATerminal(TestGrblTrack):
             track.close()
 
 
+@pytest.mark.slow
 class TestMarlinOnATerminal(TestTrackOnATerminal):
     name = "marlin track on"
     kind = MarlinEmulator
@@ -309,24 +310,10 @@ def rig_with(plan: dict[str, Any] | None = None, **values: Any) -> Any:
     ("key", "value"),
     [
         ("port", ""),
-        ("port", 3),
-        ("baud", 300),
-        ("baud", 9600.5),
         ("dialect", "tinyg"),
-        ("axis", "A"),
         ("min_mm", 180),
         ("max_mm", float("inf")),
-        ("zero_mm", "0"),
-        ("invert", 1),
-        ("feed_mm_min", 0),
-        ("approach_mm", -1),
         ("tolerance_mm", 0),
-        ("settle_s", -0.1),
-        ("homing", "yes"),
-        ("boot_s", 31),
-        ("answer_s", 0),
-        ("homing_s", 0),
-        ("write_s", 0),
         ("laser_power", -1),
         ("speed", 1),
     ],

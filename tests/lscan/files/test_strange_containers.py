@@ -1,52 +1,38 @@
-"""Files of strangers, of every kind that is read: refused in one line, and nothing else happens.
+"""Containers of strangers: data sets, suites and surfaces in tar, HDF5, zip, NPZ and folders.
 
 No link is followed out of the folder that was asked for, no FIFO waited for, and memory is not
-taken for what is only declared.  All that is hostile here is harmless: what lies outside is a FIFO
-that nobody writes to, so that whoever opens it is caught by the clock, and what is large is a hole.
+taken for what is only declared.  What is wrong with any single file is in
+tests/system/test_strange_files.py.
 """
 
 import io
 import json
 import os
-import resource
 import shutil
-import signal
-import socket
 import struct
 import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
+import strange
 import suite_cases
 from png_files import grey_png
+from strange import moved_elsewhere, refusal
 
-from lscan.acquisition.run import open_run
-from lscan.benchmark.suiterun import read_saved
-from lscan.calibration.calibrationfile import load_calibration, load_camera, load_metric
-from lscan.calibration.metric.views import load_views, read_views
-from lscan.config.board import load_board
-from lscan.config.rig import load_rig
-from lscan.config.targets import load_shapes
-from lscan.errors import InputError
 from lscan.files import datasets
 from lscan.files.datasets import MEMBERS, PictureDataset
-from lscan.files.meshes import load_mesh
-from lscan.files.pictures import encoded, read_picture
+from lscan.files.pictures import encoded
+from lscan.records import Provenance, Status, Surface
 from lscan.suites import open_suite, pack_suite, verify_suite
 from lscan.suites.content import MANIFEST, manifest_bytes, member_sum
-from lscan.surface import load_surface
-from lscan.surface.alignment import load_alignment
-from lscan.surface.shaft import load_shaft
-
-MOST_MIB = 200  # beyond what was there before
-HANG_S = 20
-LARGE = 2**40
+from lscan.surface import load_surface, save_surface
 
 KEY = "000000000"
 SHARDS = {"webdataset": "shard-000000.tar", "hdf5": "shard-000000.h5", "folders": "shard-000000"}
@@ -56,150 +42,8 @@ Harm = Callable[[Path, Path], None]
 
 @pytest.fixture(autouse=True)
 def _little_memory_and_time() -> Iterator[None]:
-    """No more address space than there is now and MOST_MIB, and an alarm for who waits."""
-
-    def hangs(*_: Any) -> None:
-        raise AssertionError(f"still at work after {HANG_S} s")
-
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    before, most = resource.getrlimit(resource.RLIMIT_AS)
-    limit = pages * resource.getpagesize() + MOST_MIB * 2**20
-    resource.setrlimit(resource.RLIMIT_AS, (limit, most))
-    handler = signal.signal(signal.SIGALRM, hangs)
-    signal.alarm(HANG_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, handler)
-    resource.setrlimit(resource.RLIMIT_AS, (before, most))
-
-
-def refusal(read: Callable[[], Any], name: str, said: str = "") -> None:
-    """The reading is refused in one line that names the file and says why."""
-    with pytest.raises(InputError) as caught:
-        read()
-    line = str(caught.value)
-    assert name in line
-    assert said in line
-    assert "\n" not in line
-    assert "written" not in line, "nothing was to be written"
-
-
-# ---- any file -------------------------------------------------------------------------------
-
-READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
-    "surface": ("surface.nc", load_surface),
-    "calibration": ("calibration.json", load_calibration),
-    "metric calibration": ("metric.json", load_metric),
-    "camera": ("camera.json", load_camera),
-    "alignment": ("alignment.json", load_alignment),
-    "saved run": ("bench.json", read_saved),
-    "rig": ("rig.toml", load_rig),
-    "board": ("board.toml", load_board),
-    "shapes": ("shapes.toml", load_shapes),
-    "shaft": ("shaft.toml", load_shaft),
-    "views": ("views.toml", load_views),
-    "picture": ("picture.png", read_picture),
-    "mesh in PLY": ("mesh.ply", load_mesh),
-    "mesh in STL": ("mesh.stl", load_mesh),
-    "mesh in OBJ": ("mesh.obj", load_mesh),
-    "mesh in OFF": ("mesh.off", load_mesh),
-    "suite": ("suite.zip", open_suite),
-    "suite's manifest": ("suite.json", lambda file: open_suite(file.parent)),
-    "run": ("run.json", lambda file: open_run(file.parent)),
-    "data set": ("manifest.json", lambda file: PictureDataset(file.parent)),
-}
-
-
-def a_fifo(file: Path) -> None:
-    os.mkfifo(file)
-
-
-def a_device(file: Path) -> None:
-    file.symlink_to("/dev/zero")
-
-
-def a_loop(file: Path) -> None:
-    file.symlink_to(file.name)
-
-
-def a_socket(file: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as one:
-        here = Path.cwd()
-        os.chdir(file.parent)  # its path may be too long for a socket
-        one.bind(file.name)
-        os.chdir(here)
-
-
-def a_large_hole(file: Path) -> None:
-    file.touch()
-    os.truncate(file, LARGE)
-
-
-def nothing(file: Path) -> None:
-    file.touch()
-
-
-def deep_brackets(file: Path) -> None:
-    file.write_bytes(b"a = " * (file.suffix == ".toml") + b"[" * 100_000)
-
-
-def a_mark_alone(file: Path) -> None:
-    file.write_bytes(b"\xef\xbb\xbf\0")
-
-
-@pytest.mark.parametrize("kind", READERS)
-@pytest.mark.parametrize(
-    "attack",
-    [a_fifo, a_device, a_loop, a_socket, a_large_hole, nothing, deep_brackets, a_mark_alone],
-)
-def test_what_is_no_such_file_is_refused(
-    tmp_path: Path, kind: str, attack: Callable[[Path], None]
-) -> None:
-    name, read = READERS[kind]
-    folder = tmp_path / "given"
-    folder.mkdir()
-    attack(folder / name)
-    followed = attack is a_device and name.endswith(".toml")  # what a document is anchored to
-    refusal(lambda: read(folder / name), "/dev/zero" if followed else str(folder))
-
-
-VIEWS = """
-board = { kind = "chessboard", columns = 5, rows = 4, square_mm = 10.0 }
-view = [{ picture = "../outside" }]
-"""
-
-
-@pytest.mark.parametrize(
-    ("text", "read"),
-    [
-        ('include = "../outside"', load_rig),
-        ('include = ["../set", "../outside"]', load_rig),
-        ('camera.driver = "sim"\ntrack.driver = "sim"\nboard.file = "../outside"', load_rig),
-        (VIEWS, lambda file: read_views(load_views(file))),
-        (VIEWS.replace("../outside", "/dev/zero"), lambda file: read_views(load_views(file))),
-    ],
-)
-def test_what_a_document_names_is_no_fifo(
-    outside: Path, text: str, read: Callable[[Path], Any]
-) -> None:
-    file = outside.parent / "set" / "given.toml"
-    file.write_text(text, encoding="utf-8")
-    refusal(lambda: read(file), "", "cannot be read: it is a")
-
-
-def test_names_with_line_ends_stay_in_one_line(outside: Path) -> None:
-    """Of a file, of a key in TOML, of a key in JSON, of a member."""
-    folder = outside.parent / "a\nset\x1b[31m"
-    folder.mkdir()
-    refusal(lambda: load_mesh(folder / "mesh.ply"), r"a\nset\x1b[31m")
-    (folder / "rig.toml").write_text('camera.driver = "sim"\ntrack.driver = "sim"\n"a\\nb" = 1\n')
-    refusal(lambda: load_rig(folder / "rig.toml"), r"a\nb: unknown section")
-    manifest = {"version": 1, "shards": [], "classes": {"a\nb": "text"}}
-    (folder / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    refusal(lambda: PictureDataset(folder), r"classes.a\nb: ")
-    shard = dataset(folder, "webdataset")
-    tar_member(tarfile.SYMTYPE, name="a\nb")(shard, outside)
-    refusal(lambda: read_whole(folder), r"a\nb", LINK)
+    with strange.little_memory_and_time():
+        yield
 
 
 # ---- data sets ------------------------------------------------------------------------------
@@ -318,51 +162,22 @@ def tar_cut(shard: Path, outside: Path) -> None:
     os.truncate(shard, 700)
 
 
-def in_hdf5(make: Callable[[h5py.Group, str, Path], None]) -> Harm:
+def in_hdf5(make: Callable[[h5py.Group, str, tuple[int, ...], Path], None]) -> Harm:
     def harm(shard: Path, outside: Path) -> None:
         with h5py.File(shard, "r+") as file:
             del file[KEY][MEMBERS[0]]
-            make(file[KEY], MEMBERS[0], outside)
+            make(file[KEY], MEMBERS[0], (9,), outside)
 
     return harm
 
 
-def external_link(group: h5py.Group, name: str, outside: Path) -> None:
-    group[name] = h5py.ExternalLink(str(outside), "picture")
+def of_type(kind: Any) -> Callable[[h5py.Group, str, tuple[int, ...], Path], None]:
+    """An array of other things than are expected there."""
 
+    def make(group: h5py.Group, name: str, shape: tuple[int, ...], outside: Path) -> None:
+        group.create_dataset(name, shape, kind).attrs["units"] = "mm"
 
-def soft_link(group: h5py.Group, name: str, outside: Path) -> None:
-    group[name] = h5py.SoftLink("/elsewhere")
-
-
-def external_storage(group: h5py.Group, name: str, outside: Path) -> None:
-    group.create_dataset(name, (9,), np.uint8, external=[(str(outside), 0, h5py.h5f.UNLIMITED)])
-
-
-def virtual(group: h5py.Group, name: str, outside: Path) -> None:
-    layout = h5py.VirtualLayout((9,), np.uint8)
-    layout[:] = h5py.VirtualSource(str(outside), "picture", (9,))
-    group.create_virtual_dataset(name, layout)
-
-
-def terabyte(group: h5py.Group, name: str, outside: Path) -> None:
-    group.create_dataset(name, (LARGE,), np.uint8, chunks=(10,), compression="gzip")
-
-
-def large_chunk(group: h5py.Group, name: str, outside: Path) -> None:
-    group.create_dataset(name, (9,), np.uint8, chunks=(2**31,), maxshape=(None,))
-
-
-def numbers(group: h5py.Group, name: str, outside: Path) -> None:
-    group[name] = np.ones(9)
-
-
-def texts(group: h5py.Group, name: str, outside: Path) -> None:
-    group.create_dataset(name, (9,), h5py.string_dtype())
-
-
-def a_group(group: h5py.Group, name: str, outside: Path) -> None:
-    group.create_group(name)
+    return make
 
 
 def group_elsewhere(shard: Path, outside: Path) -> None:
@@ -384,13 +199,6 @@ def link_out(file: Path, outside: Path) -> None:
     file.symlink_to(outside)
 
 
-def shard_elsewhere(shard: Path, outside: Path) -> None:
-    moved = outside.with_name("moved") / shard.name
-    moved.parent.mkdir()
-    shutil.move(shard, moved)
-    shard.symlink_to(moved)
-
-
 def shard_is_a_fifo(shard: Path, outside: Path) -> None:
     shutil.rmtree(shard) if shard.is_dir() else shard.unlink()
     os.mkfifo(shard)
@@ -401,6 +209,7 @@ NOT_HERE = f"{KEY}/{MEMBERS[0]}: is not an array in this file"
 SHARD_HARMS: dict[str, list[tuple[Harm, str]]] = {
     "webdataset": [
         (tar_member(tarfile.SYMTYPE), LINK),
+        (tar_member(tarfile.SYMTYPE, name="a\nb"), LINK),
         (tar_member(tarfile.LNKTYPE), LINK),
         (tar_member(tarfile.FIFOTYPE), LINK),
         (tar_member(tarfile.CHRTYPE), LINK),
@@ -415,27 +224,25 @@ SHARD_HARMS: dict[str, list[tuple[Harm, str]]] = {
         (tar_of_a_twin, "has a member twice"),
         (tar_packed, "is damaged, or no tar file"),
         (tar_cut, "lacks the picture's labels.png"),
-        (shard_elsewhere, "is a link that leads out"),
+        (moved_elsewhere, "is a link that leads out"),
         (shard_is_a_fifo, "cannot be read: it is a FIFO"),
     ],
     "hdf5": [
-        *((in_hdf5(make), NOT_HERE) for make in
-          (external_link, soft_link, external_storage, virtual, a_group)),
+        *((in_hdf5(make), NOT_HERE) for make in strange.NOT_IN_THE_FILE),
         (group_elsewhere, NOT_HERE),
-        (in_hdf5(terabyte), "is too large"),
-        (in_hdf5(large_chunk), "is too large"),
-        (in_hdf5(numbers), "is no row of bytes"),
-        (in_hdf5(texts), "is no row of bytes"),
+        *((in_hdf5(make), "is too large") for make in strange.TOO_LARGE),
+        (in_hdf5(of_type(float)), "is no row of bytes"),
+        (in_hdf5(of_type(h5py.string_dtype())), "is no row of bytes"),
         (tar_cut, "cannot be read as HDF5"),
-        (shard_elsewhere, "is a link that leads out"),
+        (moved_elsewhere, "is a link that leads out"),
         (shard_is_a_fifo, "cannot be read: it is a FIFO"),
     ],
     "folders": [
         (first_file(link_out), "is a link that leads out"),
         (first_file(lambda file, _: os.mkfifo(file)), "cannot be read: it is a FIFO"),
         (first_file(lambda file, _: file.mkdir()), "cannot be read: it is a folder"),
-        (first_file(lambda file, _: a_large_hole(file)), "is too large"),
-        (shard_elsewhere, "is a link that leads out"),
+        (first_file(lambda file, _: strange.a_large_hole(file)), "is too large"),
+        (moved_elsewhere, "is a link that leads out"),
         (shard_is_a_fifo, "cannot be read"),
     ],
 }  # fmt: skip
@@ -453,7 +260,7 @@ def test_a_hostile_shard_is_refused(outside: Path, form: str, number: int) -> No
 
 @pytest.mark.parametrize("form", SHARDS)
 def test_nothing_is_waited_for_or_followed_to_verify_a_shard(outside: Path, form: str) -> None:
-    for harm in (shard_is_a_fifo, shard_elsewhere):
+    for harm in (shard_is_a_fifo, moved_elsewhere):
         folder = outside.parent / harm.__name__
         folder.mkdir()
         harm(dataset(folder, form), folder / "outside")
@@ -709,38 +516,143 @@ def test_a_suites_folder_leads_nowhere(
     refusal(lambda: verify_suite(folder), "truth.csv")
 
 
-# ---- meshes ---------------------------------------------------------------------------------
+# ---- surfaces -------------------------------------------------------------------------------
 
-PLY = "ply\nformat binary_little_endian 1.0\n{}element vertex {}\nproperty float x\n"
-PLY += "property float y\nproperty float z\nelement face {}\nproperty list {} int "
-PLY += "vertex_indices\nend_header\n"
-PLACES = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
-FACE = struct.pack("<3i", 0, 1, 2)
-MESHES = {
-    "vertices.ply": PLY.format("", 2**40, 1, "uchar").encode() + PLACES + b"\3" + FACE,
-    "faces.ply": PLY.format("", 3, 2**40, "uchar").encode() + PLACES + b"\3" + FACE,
-    "negative.ply": PLY.format("", -3, 1, "uchar").encode() + PLACES + b"\3" + FACE,
-    "corners.ply": PLY.format("", 3, 1, "uint").encode() + PLACES + b"\0\0\0\x7f" + FACE,
-    "triangles.stl": bytes(80) + b"\xff\xff\xff\xff" + bytes(50),
-    "vertices.off": b"OFF\n1000000000 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
-    "vertices.obj": b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 1000000000\n",
-}
+SHAPE = (3, 6)
 
 
-@pytest.mark.parametrize("name", MESHES)
-def test_a_mesh_that_declares_more_than_it_has_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_bytes(MESHES[name])
-    refusal(lambda: load_mesh(tmp_path / name), name)
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    ones, status = np.ones(SHAPE), np.zeros(SHAPE, int)
+    surface = Surface(
+        np.ones((*SHAPE, 3)), ones, ones, status, np.arange(3.0), sigma_y_mm=ones,
+        provenance=Provenance("rig", 3, "ml", "refractive", "ab" * 32),
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("surface") / "surface.nc"
+    save_surface(path, surface)
+    return path
 
 
-def test_what_a_mesh_names_is_not_read(outside: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Materials and textures, whose absence is no matter for lines on the screen either."""
-    folder = outside.parent / "set"
-    text = "mtllib ../outside\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl a\nf 1 2 3\n"
-    (folder / "named.obj").write_text(text)
-    comment = "comment TextureFile ../outside\n"
-    data = PLY.format(comment, 3, 1, "uchar").encode() + PLACES + b"\3" + FACE
-    (folder / "named.ply").write_bytes(data)
-    for name in ("named.obj", "named.ply"):
-        assert len(load_mesh(folder / name).faces) == 1
-    assert caplog.text == ""
+@pytest.fixture
+def surface_file(saved: Path, tmp_path: Path) -> Path:
+    """A good surface, to be harmed."""
+    return Path(shutil.copy(saved, tmp_path))
+
+
+def shaped(*shape: int) -> Callable[[h5py.Group, str, tuple[int, ...], Path], None]:
+    return lambda group, name, _, outside: of_type(float)(group, name, shape, outside)
+
+
+NOT_NUMBERS = "z: is not an array of numbers"
+ARRAYS: list[tuple[Callable[[h5py.Group, str, tuple[int, ...], Path], None], str]] = [
+    *((make, "z: is not an array in this file") for make in strange.NOT_IN_THE_FILE),
+    *((make, "z: is too large") for make in strange.TOO_LARGE),
+    (of_type(h5py.string_dtype()), NOT_NUMBERS),
+    (of_type(h5py.ref_dtype), NOT_NUMBERS),
+    (of_type(h5py.vlen_dtype(float)), NOT_NUMBERS),
+    (of_type(np.dtype([("a", float)])), NOT_NUMBERS),
+    (of_type(complex), NOT_NUMBERS),
+    (shaped(), NOT_NUMBERS),
+    (shaped(2, 2, 2), NOT_NUMBERS),
+    (shaped(3, 5), "z: wrong shape"),
+]
+
+
+@pytest.mark.parametrize("number", range(len(ARRAYS)))
+def test_an_array_that_is_none_is_refused(surface_file: Path, number: int) -> None:
+    """What a stranger wants to have read lies in another file of numbers beside the surface."""
+    secret = surface_file.with_name("secret.h5")
+    with h5py.File(secret, "w") as file:
+        file["z"] = np.full(SHAPE, 42.0)
+    make, said = ARRAYS[number]
+    with h5py.File(surface_file, "r+") as file:
+        del file["z"]
+        make(file, "z", SHAPE, secret)
+    refusal(lambda: load_surface(surface_file), f"{surface_file}: {said}")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        *(("frame", frame, "frame: is none of a surface") for frame in
+          ("moon", 1, [1.0, 2.0], np.bytes_(b"moon"), ["head", "head"])),
+        ("yaw_deg", "east", "yaw_deg: is no angle"),
+        ("yaw_deg", 2, "yaw_deg: is no angle"),
+        ("yaw_sigma_deg", np.inf, "yaw_sigma_deg: is no angle"),
+        ("pictures", "many", "pictures: must be"),
+        ("rig", 1, "rig: must be"),
+    ],
+)  # fmt: skip
+def test_an_attribute_of_another_kind_is_refused(
+    surface_file: Path, name: str, value: Any, said: str
+) -> None:
+    with h5py.File(surface_file, "r+") as file:
+        file.attrs.pop(name, None)
+        file.attrs[name] = value
+    refusal(lambda: load_surface(surface_file), f"{surface_file}: ", said)
+
+
+def test_a_status_that_is_none_is_refused(surface_file: Path) -> None:
+    with h5py.File(surface_file, "r+") as file:
+        file["status"][0, 0] = 1 + max(Status)
+    refusal(lambda: load_surface(surface_file), "status: holds what is no status")
+
+
+@pytest.mark.parametrize("name", ["x_sigma", "y_sigma", "z_sigma"])
+def test_a_point_without_an_uncertainty_is_refused(surface_file: Path, name: str) -> None:
+    """One without a value has none."""
+    for value in (-1.0, np.nan):
+        with h5py.File(surface_file, "r+") as file:
+            file["status"][0, 0], file[name][0, 0] = Status.NO_PEAK, value
+        assert load_surface(surface_file).status[0, 0] == Status.NO_PEAK
+        with h5py.File(surface_file, "r+") as file:
+            file[name][1, 2] = value
+        refusal(lambda: load_surface(surface_file), f"surface.nc: {name}: is no uncertainty at a")
+        with h5py.File(surface_file, "r+") as file:
+            file[name][1, 2] = 1.0
+
+
+def text_places(content: bytes) -> list[int]:
+    """Where the file keeps the sizes of its first texts: a heap's header and each object's."""
+    begin = content.index(b"GCOL")
+    places = [begin + 16]
+    for _ in range(3):
+        size = int.from_bytes(content[places[-1] + 8 : places[-1] + 16], "little")
+        places.append(places[-1] + 16 + -(-size // 8) * 8)
+    return places
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 3])
+def test_a_text_whose_size_leads_nowhere_is_refused(
+    saved: Path, tmp_path: Path, number: int
+) -> None:
+    """HDF5 goes from each text of a heap to the next by its size: some lead it back to itself.
+
+    Free space (number 0) of less than its own header, and a size that, with its header, is 0 in
+    64 bits, did so.
+    """
+    whole, file = saved.read_bytes(), tmp_path / "surface.nc"
+    place = text_places(whole)[number]
+    for size in (0, 8, 2**32, 2**63, 2**64 - 16, 2**64 - 1):
+        content = bytearray(whole)
+        content[place + 8 : place + 16] = size.to_bytes(8, "little")
+        if size <= 8:
+            content[place : place + 2] = bytes(2)
+        file.write_bytes(content)
+        refusal(lambda: load_surface(file), "surface.nc: cannot be read as NetCDF", "damaged texts")
+
+
+def test_a_heap_within_a_heap_is_refused(surface_file: Path) -> None:
+    content = bytearray(surface_file.read_bytes())
+    place = text_places(bytes(content))[1] + 16
+    content[place : place + 16] = b"GCOL\x01\0\0\0" + (16).to_bytes(8, "little")
+    surface_file.write_bytes(content)
+    refusal(lambda: load_surface(surface_file), "surface.nc", "damaged texts")
+
+
+def test_numbers_that_look_like_a_heap_are_read(saved: Path, tmp_path: Path) -> None:
+    z = load_surface(saved).xyz_mm.copy()
+    z[0, 0, 2] = np.frombuffer(b"GCOL\x01\0\0\0")[0]
+    z[0, 1, 2] = np.frombuffer((2**20).to_bytes(8, "little"))[0]
+    save_surface(tmp_path / "surface.nc", replace(load_surface(saved), xyz_mm=z))
+    assert np.array_equal(load_surface(tmp_path / "surface.nc").xyz_mm, z)
