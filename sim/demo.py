@@ -85,7 +85,7 @@ def run_demo(
     """
     started = time.monotonic()
     effort = QUICK if quick else FULL
-    rigs = {part: _rendered(load_rig(scenes / f"{part}.toml"), effort) for part in PARTS}
+    rigs = {part: _rig_of_effort(load_rig(scenes / f"{part}.toml"), effort) for part in PARTS}
     better = _best_rigs(scenes.resolve().parent / "best" if best is None else best)
     fewer = effort.frames if frames is None else frames
     if fewer is not None:
@@ -93,9 +93,9 @@ def run_demo(
     seconds: dict[str, float] = {}
     runs: dict[str, Run] = {}
     for part, rig_file in rigs.items():
-        with _timed(seconds, part):
+        with _stopwatch(seconds, part):
             runs[part] = _scan(rig_file, output, part)
-    with _timed(seconds, "measure"), progress_bar("measure") as progress:
+    with _stopwatch(seconds, "measure"), progress_bar("measure") as progress:
         experiment = evaluate(**runs, progress=progress, best=better)
     scenes_of = {part: scene_of(rig_file) for part, rig_file in rigs.items()}
     experiment = compare(experiment, scenes_of, effort)
@@ -112,7 +112,7 @@ def _best_rigs(folder: Path) -> dict[str, Rig] | None:
     return {part: load_rig(folder / f"{part}.toml").rig for part in PARTS}
 
 
-def _rendered(rig_file: RigFile, effort: DemoEffort) -> RigFile:
+def _rig_of_effort(rig_file: RigFile, effort: DemoEffort) -> RigFile:
     """The scene as this effort renders it; its name, which the page shows, tells of less effort."""
     if not effort.render:
         return rig_file
@@ -233,7 +233,7 @@ def _scan(rig_file: RigFile, output: Path, part: str) -> Run:
 
 
 @contextmanager
-def _timed(seconds: dict[str, float], name: str) -> Iterator[None]:
+def _stopwatch(seconds: dict[str, float], name: str) -> Iterator[None]:
     started = time.monotonic()
     yield
     seconds[name] = time.monotonic() - started

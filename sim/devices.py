@@ -120,7 +120,9 @@ class TankCamera:
         wavelength_nm, webcam = at.scene.tank.laser.wavelength_at(time_s), self._webcam
         if at.scene is not self._scene:
             webcam = webcam.taking(at.scene)
-        layers, exposure_ms = metered(at.scene, self._tank, webcam, at.position_mm, time_s=time_s)
+        layers, exposure_ms = metered_layers(
+            at.scene, self._tank, webcam, at.position_mm, time_s=time_s
+        )
         if dark or not lit:
             layers = layers.without_laser()
         nanometres, stream = round(position_mm * 1e6), _DARK if dark else _LIT
@@ -144,7 +146,7 @@ class SimCamera:
         camera_options(scene)
         self._pictures: Ahead[Grab] | None = Ahead(
             partial(TankCamera, scene, named_files(scene.document)),
-            _planned(scene.rig.plan),
+            _planned_grabs(scene.rig.plan),
             sharing,
         )
         self._next = 0
@@ -182,7 +184,7 @@ class SimCamera:
             pictures.close()
 
 
-def _planned(plan: Plan) -> list[tuple[int, float, bool, bool]]:
+def _planned_grabs(plan: Plan) -> list[tuple[int, float, bool, bool]]:
     """What ``TankCamera`` is called with in a scan, in its order."""
     return [
         (index, position_mm, dark, not dark)
@@ -230,7 +232,7 @@ class SimCameraDriver:
         return SimCamera(scene, track)
 
 
-def metered(
+def metered_layers(
     scene: Scene,
     tank: Tank,
     webcam: Webcam,
@@ -278,7 +280,7 @@ def take_picture(
     from sim.sensor import Webcam
 
     webcam = Webcam(scene)
-    layers, exposure_ms = metered(scene, tank, webcam, position_mm, samples)
+    layers, exposure_ms = metered_layers(scene, tank, webcam, position_mm, samples)
     generator = np.random.default_rng([scene.tank.sensor.seed, 1])
     return webcam.expose(layers, exposure_ms, generator), layers, exposure_ms
 

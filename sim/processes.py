@@ -55,7 +55,7 @@ class HelperProcess:
     def wait(self) -> None:
         """Wait until it is ready; HelperEnded where it does not come to that."""
         make, self._make = self._make, None
-        self._asked(make)
+        self._answer(make)
 
     def __call__(self, *arguments: object) -> Any:
         """The call's result; HelperEnded where there is none.
@@ -64,9 +64,9 @@ class HelperProcess:
         ----------
         arguments : of the call, can be pickled, as its result
         """
-        return self._asked(arguments)
+        return self._answer(arguments)
 
-    def _asked(self, question: object) -> Any:
+    def _answer(self, question: object) -> Any:
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
             pickle.dump(question, self._process.stdin)
@@ -89,7 +89,7 @@ class HelperProcess:
         self._process.wait()
 
 
-def started(
+def start_helpers(
     make: Callable[[], Callable[..., Any]], environments: Iterable[dict[str, str]]
 ) -> list[HelperProcess]:
     """A helper for each environment, as many as the system starts.
@@ -202,7 +202,7 @@ class Ahead(Generic[_Result]):
 
     def _start(self) -> None:
         """Start a process for each core that is left to others, of which there may be none."""
-        self._helpers = started(self._make, self._closed.enter_context(self._sharing()))
+        self._helpers = start_helpers(self._make, self._closed.enter_context(self._sharing()))
         if not self._helpers:
             self._closed.close()
             self._order, self._places = (), {}  # from now on all is made here

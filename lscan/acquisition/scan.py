@@ -360,7 +360,7 @@ class _ScanDevices:
     def take(self, index: int, commanded_mm: float) -> Frame:
         """The frame taken there, checked; DeviceError where a run cannot hold it."""
         position_mm = self.track.move_to(commanded_mm)
-        grab = self.camera.grab(index) if self.laser is None else self._lit(index, self.laser)
+        grab = self.camera.grab(index) if self.laser is None else self._grab_lit(index, self.laser)
         lit = self._check_grab(grab, index)
         background = None
         if self.paired and self.laser is not None:
@@ -369,7 +369,7 @@ class _ScanDevices:
         places_mm = commanded_mm, position_mm
         return Frame(lit.image, index, *places_mm, lit.time_s, lit.exposure_ms, background)
 
-    def _lit(self, index: int, laser: _ScanLaser) -> Grab:
+    def _grab_lit(self, index: int, laser: _ScanLaser) -> Grab:
         """A picture with the laser on all the time; one that came too late is taken again."""
         name = f"camera {self.section.driver!r}: frame {index}"
         for _ in range(LIT_ATTEMPTS):

@@ -49,7 +49,7 @@ from lscan.files.disk import (
     sync_folder,
     write_atomically,
 )
-from lscan.files.pictures import encoded
+from lscan.files.pictures import encode_picture
 from lscan.records import Bytes, Frame
 
 
@@ -355,6 +355,6 @@ PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
 
 def _write_picture(image: Bytes, file: Path) -> str:
     """Write a picture, synced; the SHA-256 of its file."""
-    png = encoded(image, ".png", PNG, where=file)
+    png = encode_picture(image, ".png", PNG, where=file)
     write_atomically(file, png)
     return hashlib.sha256(png).hexdigest()

@@ -24,7 +24,7 @@ from lscan.calibration.marks import joined_marks
 from lscan.calibration.planemap import PlaneMap, find_solver
 from lscan.config.board import Board
 from lscan.config.documents import Document, check, merge, read_document
-from lscan.config.plugins import find_plugin_or_function, names_code, raised
+from lscan.config.plugins import find_plugin_or_function, foreign_error, names_code
 from lscan.config.rig import OpticsSection, Rig
 from lscan.config.scenes import included_file
 from lscan.config.targets import GroovedBlock, Sandwave
@@ -253,7 +253,7 @@ def _outcome(
     except LscanError:
         found = None
     except Exception as error:  # a stranger's may raise anything
-        raise InputError(f"{name} failed: {raised(error)}", where="bench") from error
+        raise InputError(f"{name} failed: {foreign_error(error)}", where="bench") from error
     return found, time.process_time() - began
 
 
@@ -304,7 +304,7 @@ def judge_case(name: str, case: SuiteCase) -> tuple[CaseSums, list[WorstColumn]]
         seconds,
         needed=clear,
         dark=~beside_line(seen),
-        bound=_bound(truth),
+        bound=_centre_bound_px2(truth),
     )
     return sums, _worst(case, stripe.centre_px, stripe.sigma_px, both)
 
@@ -319,7 +319,7 @@ def beside_line(line: Mask) -> Mask:
     return np.convolve(line, np.ones(2 * NEAR_PX + 1), mode="same") > 0
 
 
-def _bound(truth: CaseTruth) -> Floats:
+def _centre_bound_px2(truth: CaseTruth) -> Floats:
     """Cramér-Rao's bound of the centre for pixel noise alone, px²: docs/explanation/physics.md, 4.
 
     The line's own shot noise and speckle are left out, and so is that pixels are not narrow.

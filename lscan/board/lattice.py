@@ -79,11 +79,11 @@ class LocalMap:
         ----------
         which : mask or slice, of the control points asked for; by default all
         """
-        predicted = self.expanded(self.board_mm[which], skip=1)
+        predicted = self.expansion(self.board_mm[which], skip=1)
         miss = np.linalg.norm(predicted.image_px - self.image_px[which], axis=1)
         return miss / np.sqrt(1 + predicted.leverage)
 
-    def expanded(self, board_mm: Floats, skip: int = 0) -> Expansion:
+    def expansion(self, board_mm: Floats, skip: int = 0) -> Expansion:
         """The map about places of the board to second order.
 
         Parameters
@@ -170,7 +170,7 @@ def complete_nodes(nodes: Nodes, pitch_mm: float) -> Floats:
     points = nodes.points.copy()
     beside = ~nodes.found & np.isfinite(mean_beside(nodes.height))
     board = grid_points_mm(points.shape[:2], pitch_mm)
-    points[beside] = local_map(nodes.points, pitch_mm).expanded(board[beside]).image_px
+    points[beside] = local_map(nodes.points, pitch_mm).expansion(board[beside]).image_px
     while (empty := np.isnan(points[..., 0])).any():
         points[empty] = expected_places(points)[empty]
     return points

@@ -43,7 +43,7 @@ class Contrast:
         diameter_mm : float, mm, of a control dot
         """
         board = grid_points_mm(nodes.height.shape, mapping.pitch_mm)[nodes.found]
-        radius = mapping.expanded(board).scale * diameter_mm / 2
+        radius = mapping.expansion(board).scale * diameter_mm / 2
         return cls(board, nodes.height[nodes.found] / disc_height(radius, BLUR_PX))
 
     def at(self, board_mm: Floats) -> Floats:
@@ -112,7 +112,7 @@ def _read_marks(
     clear_mm: float,
 ) -> Marks:
     """Round marks of one size at known places (N, 2) mm, ``clear_mm`` apart from others."""
-    map_there = mapping.expanded(board_mm)
+    map_there = mapping.expansion(board_mm)
     expected, scale = map_there.image_px, map_there.scale
     radius = scale * diameter_mm / 2
     in_view = picture.wholly_in_view(expected, radius)
@@ -208,7 +208,7 @@ def read_ring(
     ring : Ring, mm
     """
     middle_mm = np.array([[ring.x_mm, ring.z_mm]])
-    radius_px = float(mapping.expanded(middle_mm).scale[0]) * ring.diameter_mm / 2
+    radius_px = float(mapping.expansion(middle_mm).scale[0]) * ring.diameter_mm / 2
     count = max(FEWEST, int(2 * np.pi * radius_px / SPACING_PX))
     angle = 2 * np.pi * np.arange(count) / count
     # Averaged along the arc: along the tangent the line's sagitta would shrink the ring.
@@ -247,7 +247,7 @@ def _crossings(
 
     The curvature is that of the ellipse that the map's first derivatives make of the circle.
     """
-    map_there = mapping.expanded(board_mm)
+    map_there = mapping.expansion(board_mm)
     jacobian = map_there.jacobian
     along_mm = np.column_stack([-outward_mm[:, 1], outward_mm[:, 0]])
     along = np.einsum("nij,nj->ni", jacobian, along_mm)

@@ -267,7 +267,7 @@ def _median_radius(nodes: Nodes, grid: Grid) -> float:
 def _remeasure(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, board: Board) -> Nodes:
     """The same dots: windows by the local map, corrected for its bias, the noise as it is there."""
     grid = board.grid
-    map_there = mapping.expanded(grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found])
+    map_there = mapping.expansion(grid_points_mm(nodes.height.shape, grid.pitch_mm)[nodes.found])
     sigma = window_sigma(map_there.scale * grid.dot_diameter_mm / 2)
     start = nodes.points[nodes.found]
     centres = fit_centres(picture.flat, start, sigma, picture.noise, STEPS_FROM_NEAR)
@@ -286,7 +286,7 @@ def _remeasure(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, board: Bo
 
 def _grid_marks(picture: BoardPicture, nodes: Nodes, mapping: LocalMap, grid: Grid) -> Marks:
     board = grid_points_mm(nodes.height.shape, grid.pitch_mm).reshape(-1, 2)
-    map_there = mapping.expanded(board)
+    map_there = mapping.expansion(board)
     radius = map_there.scale * grid.dot_diameter_mm / 2
     in_view = picture.wholly_in_view(map_there.image_px, radius)
     image_px, status = nodes.points.reshape(-1, 2), mark_status(nodes.found.ravel(), in_view)

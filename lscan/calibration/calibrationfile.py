@@ -153,7 +153,7 @@ def load_camera(path: Path) -> CameraCalibration:
         Names the file and the key of anything that is not as it was written.
     """
     content = _content(path, CameraFile)
-    return CameraCalibration(theta=np.array([*content.camera.values()]), **content.solved())
+    return CameraCalibration(theta=np.array([*content.camera.values()]), **content.solved_fields())
 
 
 def save_calibration(path: Path | str, calibration: AnyCalibration | CameraCalibration) -> None:
@@ -440,7 +440,7 @@ class StoredViews(Strict):
             raise ValueError(f"camera_sigma must be {COUNT} numbers not below 0")
         return self
 
-    def solved(self) -> dict[str, Any]:
+    def solved_fields(self) -> dict[str, Any]:
         """The fields of a SolvedViews."""
         return {
             "software": self.software,
@@ -468,7 +468,7 @@ class MetricFile(StoredViews):
     def calibration(self, path: Path) -> MetricCalibration:
         """As the program holds it; InputError where the parameters make no map."""
         plane_map = cast(Metric, _plane_map(self, path))
-        return MetricCalibration(plane_map=plane_map, **self.solved())
+        return MetricCalibration(plane_map=plane_map, **self.solved_fields())
 
 
 class CameraFile(StoredViews):

@@ -99,7 +99,7 @@ def broken_plugin(entry: EntryPoint, error: BaseException, where: object = None)
     """
     if isinstance(error, ModuleNotFoundError) and _is_ours(entry):
         return InputError(missing_package(error), where=where, value=entry.name)
-    what = f"cannot be loaded from the package {_package(entry)}: {raised(error)}"
+    what = f"cannot be loaded from the package {_package(entry)}: {foreign_error(error)}"
     allowed = f"the package mended or uninstalled; {entry.group} names {entry.name} = {entry.value}"
     return InputError(what, where=where, value=entry.name, allowed=allowed)
 
@@ -163,14 +163,14 @@ def find_plugin_or_function(group: str, name: str, where: object = None) -> Any:
     try:
         found = getattr(importlib.import_module(module), function)
     except Exception as error:  # a module of the user's may raise anything
-        allowed = f"a name that can be imported, its folder in PYTHONPATH: {raised(error)}"
+        allowed = f"a name that can be imported, its folder in PYTHONPATH: {foreign_error(error)}"
         raise InputError(what, where=where, value=name, allowed=allowed) from error
     if not callable(found):
         raise InputError(what, where=where, value=name, allowed="a function")
     return found
 
 
-def raised(error: BaseException) -> str:
+def foreign_error(error: BaseException) -> str:
     """What code that is not lscan's raised, in one line, with the file and line it stands in.
 
     Parameters

@@ -35,7 +35,7 @@ class ReportFigure:
     script: str = ""
 
 
-def signed(value: float, digits: int) -> str:
+def signed_number(value: float, digits: int) -> str:
     """The number as text with its sign, + or a true minus.
 
     Parameters

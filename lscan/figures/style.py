@@ -128,7 +128,7 @@ def svg(figure: Figure, key: str, alt: str) -> str:
     text = re.sub(r"(?<=\d\.\d{2})\d+", "", text)  # a hundredth of a point is enough
     for name, colour in PALETTE.items():
         text = text.replace(colour, f"var(--{name}, {colour})")
-    return _labelled(text, alt)
+    return _with_label(text, alt)
 
 
 def photograph(image: Bytes, overlay: str, alt: str) -> str:
@@ -159,7 +159,7 @@ def photograph(image: Bytes, overlay: str, alt: str) -> str:
         f'<svg viewBox="-0.5 -0.5 {width} {height}" class="photograph">'
         f'<image {frame} href="{_data_uri(image)}"/>{overlay}</svg>'
     )
-    return _labelled(text, alt)
+    return _with_label(text, alt)
 
 
 def spots(points: Floats, colour: str, width_px: float) -> str:
@@ -186,7 +186,7 @@ def _data_uri(image: Bytes) -> str:
     return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
 
 
-def _labelled(text: str, alt: str) -> str:
+def _with_label(text: str, alt: str) -> str:
     escaped = alt.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
     return text.replace("<svg", f'<svg role="img" aria-label="{escaped}"', 1)
 

@@ -317,7 +317,7 @@ def decode(data: bytes | Bytes, flags: int = cv2.IMREAD_UNCHANGED) -> Bytes | No
     return image if image is not None and image.dtype == np.uint8 else None
 
 
-def encoded(
+def encode_picture(
     image: Bytes, ending: str, parameters: Sequence[int] = (), where: object = None
 ) -> bytes:
     """The file of a picture in a format.
@@ -360,4 +360,4 @@ def write_picture(path: Path, image: Bytes) -> None:
     InputError
         There is no such format, it cannot hold a picture of that shape, or the disk refuses.
     """
-    write_atomically(path, encoded(image, path.suffix or ".png", where=path))
+    write_atomically(path, encode_picture(image, path.suffix or ".png", where=path))

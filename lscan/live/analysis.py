@@ -16,7 +16,7 @@ from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board
 from lscan.config.rig import Rig, SheetSection, StripeSection
 from lscan.errors import BoardNotFound, LscanError, MeasurementError
-from lscan.files.pictures import encoded
+from lscan.files.pictures import encode_picture
 from lscan.records import (
     BoardReading,
     Bytes,
@@ -285,7 +285,7 @@ def _rms_and_max(pairs: Floats) -> tuple[float, float] | None:
 JPEG_QUALITY = 80
 
 
-def packed(document: dict[str, Any], jpeg: bytes) -> bytes:
+def picture_answer(document: dict[str, Any], jpeg: bytes) -> bytes:
     """The answer to a browser that asked for a picture."""
     text = json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
     return struct.pack(">I", len(text)) + text + jpeg
@@ -293,7 +293,9 @@ def packed(document: dict[str, Any], jpeg: bytes) -> bytes:
 
 def jpeg_of(image: Bytes) -> bytes:
     """The picture, (H, W) grey or (H, W, 3) RGB, as JPEG."""
-    return encoded(image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY], where="the live page")
+    return encode_picture(
+        image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY], where="the live page"
+    )
 
 
 def figures_json(figures: Figures) -> dict[str, Any]:
@@ -310,14 +312,14 @@ def _stripe_json(line: StripeFigures) -> dict[str, Any]:
     status = line.stripe.status
     return {
         "axis": line.stripe.axis,
-        "centre_px": _rounded(line.stripe.centre_px, 2),
+        "centre_px": _json_number(line.stripe.centre_px, 2),
         "found": int(has_value(status).sum()),
         "of": len(status),
         "clipped": int((status == Status.SATURATED).sum()),
         "clipped_at": np.flatnonzero(status == Status.SATURATED).tolist(),
-        "width_px": _rounded(line.width_px, 2),
-        "snr": _rounded(line.snr, 1),
-        "slope": _rounded(line.slope, 5),
+        "width_px": _json_number(line.width_px, 2),
+        "snr": _json_number(line.snr, 1),
+        "slope": _json_number(line.slope, 5),
         "status": status_counts(status),
     }
 
@@ -325,8 +327,8 @@ def _stripe_json(line: StripeFigures) -> dict[str, Any]:
 def _profile_json(profile: PlanePoints) -> dict[str, Any]:
     sigma = profile.sigma_mm[np.isfinite(profile.sigma_mm[:, 1]), 1]
     return {
-        "x_mm": _rounded(profile.xz_mm[:, 0], 3),
-        "z_mm": _rounded(profile.xz_mm[:, 1], 3),
+        "x_mm": _json_number(profile.xz_mm[:, 0], 3),
+        "z_mm": _json_number(profile.xz_mm[:, 1], 3),
         "sigma_mm": round(float(np.median(sigma)), 4) if len(sigma) else None,
     }
 
@@ -339,10 +341,10 @@ def board_json(board: BoardFigures, age_s: float) -> dict[str, Any]:
         "found": board.found,
         "expected": board.expected,
         "message": board.message,
-        "marks_px": _rounded(board.marks_px, 2),
-        "residual_rms_px": _rounded(rms_px, 4),
-        "residual_max_px": _rounded(max_px, 4),
-        "residual_rms_mm": _rounded(rms_mm, 4),
+        "marks_px": _json_number(board.marks_px, 2),
+        "residual_rms_px": _json_number(rms_px, 4),
+        "residual_max_px": _json_number(max_px, 4),
+        "residual_rms_mm": _json_number(rms_mm, 4),
         "offset": board.offset and _offset_json(board.offset),
         "offset_message": board.offset_message,
         "age_s": round(age_s, 2),
@@ -351,17 +353,17 @@ def board_json(board: BoardFigures, age_s: float) -> dict[str, Any]:
 
 def _offset_json(offset: OffSheet) -> dict[str, Any]:
     return {
-        "distance_mm": _rounded(offset.distance_mm, 3),
-        "sigma_mm": _rounded(offset.distance_sigma_mm, 3),
-        "tilt_x_deg": _rounded(np.degrees(offset.tilt_x_rad), 4),
-        "tilt_x_sigma_deg": _rounded(np.degrees(offset.tilt_x_sigma_rad), 4),
-        "tilt_z_deg": _rounded(np.degrees(offset.tilt_z_rad), 4),
-        "tilt_z_sigma_deg": _rounded(np.degrees(offset.tilt_z_sigma_rad), 4),
-        "corners_mm": _rounded(offset.corners_mm, 3),
+        "distance_mm": _json_number(offset.distance_mm, 3),
+        "sigma_mm": _json_number(offset.distance_sigma_mm, 3),
+        "tilt_x_deg": _json_number(np.degrees(offset.tilt_x_rad), 4),
+        "tilt_x_sigma_deg": _json_number(np.degrees(offset.tilt_x_sigma_rad), 4),
+        "tilt_z_deg": _json_number(np.degrees(offset.tilt_z_rad), 4),
+        "tilt_z_sigma_deg": _json_number(np.degrees(offset.tilt_z_sigma_rad), 4),
+        "corners_mm": _json_number(offset.corners_mm, 3),
     }
 
 
-def _rounded(values: Floats | float | None, decimals: int) -> Any:
+def _json_number(values: Floats | float | None, decimals: int) -> Any:
     """A number or an array of any shape in JSON types, None for what is not known."""
     if values is None:
         return None

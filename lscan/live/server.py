@@ -436,7 +436,7 @@ class LivePage:
         text = request.query_params.get("after", "0")
         if not (text.isascii() and text.isdigit() and len(text) < 16):
             error = InputError("not a number", where="after", value=text, allowed="0 or above")
-            return _refused(error, 400)
+            return _refusal(error, 400)
         newest = self._session.frames
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(LONGEST_WAIT_S):
@@ -456,9 +456,9 @@ class LivePage:
                 body = check(model, await _document(request), where=None)
                 await run_in_threadpool(act, body)
             except InputError as error:
-                return _refused(error, 400)
+                return _refusal(error, 400)
             except LscanError as error:
-                return _refused(error, 409)
+                return _refusal(error, 409)
             return await self._state(request)
 
         return Route(path, answer, methods=["POST"])
@@ -484,7 +484,7 @@ async def _document(request: Request) -> dict[str, Any]:
     return document
 
 
-def _refused(error: LscanError, code: int) -> JSONResponse:
+def _refusal(error: LscanError, code: int) -> JSONResponse:
     answer = {"error": str(error), "device": isinstance(error, DeviceError)}
     return JSONResponse(answer, status_code=code)
 

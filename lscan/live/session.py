@@ -21,7 +21,7 @@ from lscan.live.analysis import (
     jpeg_of,
     measure_line,
     measure_picture,
-    packed,
+    picture_answer,
     read_live_board,
 )
 from lscan.live.devices import LiveDevices, NotNow, one_line
@@ -344,7 +344,7 @@ class Session:
             "focus_best": round(best, 2),
             "board": board and board_json(board[0], time.monotonic() - board[1]),
         }
-        return packed(document, jpeg_of(image))
+        return picture_answer(document, jpeg_of(image))
 
     def _phase(self) -> Phase:
         if self.scanning.under_way:

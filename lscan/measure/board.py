@@ -139,13 +139,13 @@ def fit_circle(points_mm: Floats, sigma_mm: Floats) -> Circle:
         raise MeasurementError(f"circle: {len(points_mm)} points, 4 are needed")
     root = 1 / np.maximum(sigma_mm, 1e-6)
 
-    def weighted(parameters: Floats) -> Floats:
+    def weighted_mean(parameters: Floats) -> Floats:
         return (np.linalg.norm(points_mm - parameters[:2], axis=1) - parameters[2]) * root
 
     def jacobian(parameters: Floats) -> Floats:
         return _circle_derivatives(points_mm, parameters) * root[:, None]
 
-    fit = least_squares(weighted, _algebraic(points_mm), jacobian, method="lm", xtol=1e-12)
+    fit = least_squares(weighted_mean, _algebraic(points_mm), jacobian, method="lm", xtol=1e-12)
     design = jacobian(fit.x)
     inverse = np.linalg.inv(design.T @ design).astype(float)
     scatter = 2 * float(fit.cost) / max(len(points_mm) - 3, 1)

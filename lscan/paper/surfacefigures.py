@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
 from lscan.figures import style
-from lscan.figures.page import ReportFigure, signed
+from lscan.figures.page import ReportFigure, signed_number
 from lscan.figures.style import CELL_MM, NodeHeights, cell_for, grid_heights, height_range
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
@@ -35,7 +35,7 @@ def raw_relief(xyz_mm: Floats) -> ReportFigure:
     points = xyz_mm[np.isfinite(xyz_mm).all(axis=2)]
     centred = points - points.mean(axis=0)
     slopes = np.linalg.lstsq(centred[:, :2], centred[:, 2], rcond=None)[0]
-    along_x, along_y = (signed(tilt, 2) for tilt in np.degrees(np.arctan(slopes)))
+    along_x, along_y = (signed_number(tilt, 2) for tilt in np.degrees(np.arctan(slopes)))
     return figure_of(
         "raw",
         figure,
@@ -312,8 +312,8 @@ def slice_plot(
         name=name,
         paper=paper,
         rmse=errors.rmse_mm,
-        least=signed(errors.min_mm, 2),
-        most=signed(errors.max_mm, 2),
+        least=signed_number(errors.min_mm, 2),
+        most=signed_number(errors.max_mm, 2),
         within=100 * np.mean(np.abs(errors.error_mm[compared]) <= bar_mm),
         bar=bar_mm,
         gaps=_gaps(cut, int((np.isfinite(cut.z_mm) & ~compared).sum())),

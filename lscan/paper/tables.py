@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from lscan.figures.page import signed
+from lscan.figures.page import signed_number
 from lscan.files.disk import packaged_table
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
@@ -198,10 +198,10 @@ def _slice_table(
 ) -> ReportTable:
     def cells(errors: SliceErrors) -> Cells:
         ends = (errors.min_mm, errors.max_mm)
-        marked = (TableCell(signed(end, 3), abs(end) > bars.sandwave_mm) for end in ends)
+        marked = (TableCell(signed_number(end, 3), abs(end) > bars.sandwave_mm) for end in ends)
         return (TableCell(f"{errors.rmse_mm:.3f}"), *marked)
 
-    theirs = tuple(TableCell(signed(error, 1)) for error in SLICE_ERRORS_MM)
+    theirs = tuple(TableCell(signed_number(error, 1)) for error in SLICE_ERRORS_MM)
     rows = tuple(
         TableRow(name, name, theirs, cells(errors), cells(best[name]) if name in best else ())
         for name, errors in ours.items()
@@ -295,8 +295,8 @@ def _cells(length: Length | PrintedLength | None, beyond: Beyond) -> Cells:
     return (
         TableCell(f"{length.measured_mm:.{digits}f}"),
         *sigma,
-        TableCell(signed(length.error_mm, digits), marked),
-        TableCell(signed(length.percent, 2), marked),
+        TableCell(signed_number(length.error_mm, digits), marked),
+        TableCell(signed_number(length.percent, 2), marked),
     )
 
 
@@ -415,11 +415,11 @@ def _sandwave_checks(experiment: Experiment, bar_mm: float) -> list[ReportCheck]
 
 
 def _slice_check(name: str, errors: SliceErrors, bar_mm: float) -> ReportCheck:
-    low, high = (signed(error, 1) for error in paper.SLICE_ERRORS_MM)
+    low, high = (signed_number(error, 1) for error in paper.SLICE_ERRORS_MM)
     least, most = errors.min_mm, errors.max_mm
     return ReportCheck(
         f"Slice {name}, error",
-        f"{signed(least, 2)} to {signed(most, 2)} mm, rmse {errors.rmse_mm:.2f} mm",
+        f"{signed_number(least, 2)} to {signed_number(most, 2)} mm, rmse {errors.rmse_mm:.2f} mm",
         f"most within {low} to {high} mm",
         f"±{bar_mm:g} mm",
         max(-least, most) <= bar_mm,

@@ -96,12 +96,12 @@ def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) ->
     few = max(min(harmonics, OF_WAVENUMBER, int(top)), 1)
     orders = max(min(harmonics, int(BEYOND_NYQUIST * top)), few)
 
-    def left(k: Floats) -> Floats:
+    def residual(k: Floats) -> Floats:
         design = _waves(patch, k, few)
         return np.asarray(z - design @ np.linalg.lstsq(design, z, rcond=None)[0])
 
     scale = 2 * np.pi / max(patch.size_cm) * np.ones(2)
-    found = least_squares(left, start_per_cm, x_scale=scale, xtol=1e-12, ftol=1e-12)
+    found = least_squares(residual, start_per_cm, x_scale=scale, xtol=1e-12, ftol=1e-12)
     if not found.success:
         raise MeasurementError(f"ripples: {found.message}")
     design = _waves(patch, found.x, orders)

@@ -401,9 +401,9 @@ class _Likelihood:
             )
         self._sum = CovarianceSum(patch.z_cm.shape, patch.cell_cm)
         self._passed = np.asarray(1.0 if response is None else response(*self._sum.plane))
-        self._noise = self._expected(self._sum.of_noise(patch.noise_cm2))
+        self._noise = self._expectation(self._sum.of_noise(patch.noise_cm2))
 
-    def _expected(self, covariance_cm2: Floats) -> Floats:
+    def _expectation(self, covariance_cm2: Floats) -> Floats:
         return np.concatenate([part.expected(covariance_cm2) for part in self._parts])
 
     def _density(self, theta: Floats) -> Floats:
@@ -412,14 +412,14 @@ class _Likelihood:
 
     def expected(self, theta: Floats) -> Floats:
         """(V,) expectation of the periodogram."""
-        return self._expected(self._sum.of(self._density(theta))) + self._noise
+        return self._expectation(self._sum.of(self._density(theta))) + self._noise
 
     def _derivatives(self, theta: Floats, expected: Floats) -> Floats:
         """(V, P) of the logarithm of the expectation."""
         columns = [expected - self._noise]  # by ln w2
         for way in DIFFERENCE * np.eye(len(theta))[1:]:
             steps = self._density(theta + way) - self._density(theta - way)
-            columns.append(self._expected(self._sum.of(steps / (2 * DIFFERENCE))))
+            columns.append(self._expectation(self._sum.of(steps / (2 * DIFFERENCE))))
         return np.stack(columns, axis=1) / expected[:, np.newaxis]
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # a step may lead anywhere

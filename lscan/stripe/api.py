@@ -98,11 +98,11 @@ def together(several: Several) -> Callable[[Extractor], Extractor]:
         the extractor finds in each picture by itself
     """
 
-    def marked(extractor: Extractor) -> Extractor:
+    def mark_extractor(extractor: Extractor) -> Extractor:
         setattr(extractor, _SEVERAL, several)
         return extractor
 
-    return marked
+    return mark_extractor
 
 
 def stripes_by(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.config.plugins import find_plugin_or_function, frames_of_others, raised
+from lscan.config.plugins import find_plugin_or_function, foreign_error, frames_of_others
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import write_atomically
@@ -434,7 +434,7 @@ def _call_extractor(extractor: Extractor, pictures: Sequence[Picture]) -> list[S
     except Exception as error:
         if isinstance(error, TypeError) and not frames_of_others(error):
             raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
-        raise InputError(f"failed: {raised(error)}", where=where) from error
+        raise InputError(f"failed: {foreign_error(error)}", where=where) from error
     for stripe, (image, *_) in zip(stripes, pictures, strict=True):
         require_stripe(stripe, image.shape, where)
     return [replace(stripe, axis=settings.axis) for stripe in stripes]

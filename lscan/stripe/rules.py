@@ -70,7 +70,7 @@ def extractor(rule: Rule) -> Extractor:
             return seen
         ground = _Ground.beside(seen.view, seen.width_px)
         light = ground.taken_off(seen.view.grey)
-        offset, _ = rule(_lit(seen, light))
+        offset, _ = rule(_line_light(seen, light))
         sigma = _sigma(rule, seen, ground, light, np.nan_to_num(offset))
         kept = seen.is_near(offset, sigma)
         return stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)
@@ -113,7 +113,7 @@ class _Ground:
         slope = (self.slope * grey).sum(axis=1, keepdims=True)
         return level + slope * self.steps
 
-    def carried(self, derivative: Floats) -> Floats:
+    def derivative_by_grey(self, derivative: Floats) -> Floats:
         """The derivative (K, n) by the grey values of what has ``derivative`` by the light."""
         by_level = derivative.sum(axis=1, keepdims=True)
         by_slope = (derivative @ self.steps)[:, None]
@@ -134,12 +134,12 @@ def _sigma(rule: Rule, seen: Survey, ground: _Ground, light: Floats, offset: Flo
     model = lines(parameters_of(offset, width, height, level, level), steps).light
     veil = ground.values(seen.view.grey) - seen.view.base[:, None]
     variance = seen.noise.variance(model, veil) + (seen.misfit * model) ** 2
-    expected, derivative = rule(_lit(seen, ground.taken_off(model)))
-    noise = (ground.carried(derivative) ** 2 * variance).sum(axis=1)
+    expected, derivative = rule(_line_light(seen, ground.taken_off(model)))
+    noise = (ground.derivative_by_grey(derivative) ** 2 * variance).sum(axis=1)
     return np.sqrt(noise + (expected - offset) ** 2)
 
 
-def _lit(seen: Survey, light: Floats) -> LineLight:
+def _line_light(seen: Survey, light: Floats) -> LineLight:
     return LineLight(seen.view.steps, light, seen.view.clipped, seen.width_px, seen.noise)
 
 

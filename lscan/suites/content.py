@@ -24,7 +24,7 @@ from lscan.config.plugins import refuse_code
 from lscan.config.rig import OpticsSection, Rig, StripeSection
 from lscan.errors import InputError
 from lscan.files.jsonfiles import parse_json
-from lscan.files.pictures import encoded, read_png
+from lscan.files.pictures import encode_picture, read_png
 from lscan.records import Bytes, Floats, Ints, Marks, Status
 
 MANIFEST = "suite.json"
@@ -270,7 +270,7 @@ def section_bytes(section: Strict) -> bytes:
 def noisy_png(picture: Bytes) -> bytes:
     """The PNG of a picture with noise: a fifteenth smaller than by the usual compression."""
     level = (cv2.IMWRITE_PNG_COMPRESSION, 3)  # stated at all, each line has its own filter
-    return encoded(
+    return encode_picture(
         picture, ".png", (*level, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE)
     )
 
@@ -300,7 +300,7 @@ class LightLayers:
     scattered: Floats
     ambient: Floats
 
-    def turned(self) -> "LightLayers":
+    def transpose(self) -> "LightLayers":
         """As a camera sees them whose columns are the other's rows."""
         return replace(self, **{name: layer.T for name, layer in vars(self).items()})
 
@@ -384,9 +384,9 @@ class SuiteCase:
         """The bytes of each member by its name within the case, that of the truth last."""
         noisy = {PICTURE: self.picture, DARK: self.dark}
         members = {name: noisy_png(shown) for name, shown in noisy.items() if shown is not None}
-        members[LABELS] = encoded(self.labels, ".png")
+        members[LABELS] = encode_picture(self.labels, ".png")
         if self.layers is not None:
-            members[LAYERS] = encoded(layers_picture(self.layers), ".png", SMOOTH)
+            members[LAYERS] = encode_picture(layers_picture(self.layers), ".png", SMOOTH)
         members[SETTINGS] = section_bytes(self.settings)
         members[TRUTH] = table_bytes(LINE_TRUTH, *vars(self.truth).values())
         return members

@@ -418,7 +418,7 @@ def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]
     def array(values: NDArray[Any], long_name: str, **notes: Any) -> NetcdfArray:
         return NetcdfArray(DIMENSIONS, values, {"long_name": long_name, **notes})
 
-    def measured(values: NDArray[Any], long_name: str, **notes: Any) -> NetcdfArray:
+    def measured_array(values: NDArray[Any], long_name: str, **notes: Any) -> NetcdfArray:
         return array(values, long_name, coordinates=COORDINATES, **notes)
 
     x, y, z = np.moveaxis(surface.xyz_mm, -1, 0)
@@ -428,10 +428,12 @@ def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]
     arrays = {
         "x": array(x, f"x in the {where} frame", **LENGTH),
         "y": array(y, f"y in the {where} frame", **LENGTH),
-        "z": measured(z, f"height in the {where} frame", ancillary_variables=beside, **LENGTH),
-        "x_sigma": measured(surface.sigma_x_mm, "standard uncertainty of x", **LENGTH),
-        "z_sigma": measured(surface.sigma_z_mm, "standard uncertainty of z", **LENGTH),
-        "status": measured(
+        "z": measured_array(
+            z, f"height in the {where} frame", ancillary_variables=beside, **LENGTH
+        ),
+        "x_sigma": measured_array(surface.sigma_x_mm, "standard uncertainty of x", **LENGTH),
+        "z_sigma": measured_array(surface.sigma_z_mm, "standard uncertainty of z", **LENGTH),
+        "status": measured_array(
             surface.status.astype(np.int8),
             "why a point has, or has not, a value",
             flag_values=codes,
@@ -439,11 +441,13 @@ def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]
         ),
     }
     if surface.sigma_y_mm is not None:
-        arrays["y_sigma"] = measured(surface.sigma_y_mm, "standard uncertainty of y", **LENGTH)
+        arrays["y_sigma"] = measured_array(
+            surface.sigma_y_mm, "standard uncertainty of y", **LENGTH
+        )
     if surface.modes_mm is not None:
         common = np.sqrt(np.square(surface.modes_mm[..., 2, :], dtype=np.float64).sum(axis=-1))
         name = "part of z_sigma that calibration and alignment give to all points in common"
-        arrays[COMMON] = measured(common, name, **LENGTH)
+        arrays[COMMON] = measured_array(common, name, **LENGTH)
         modes = {**MODES, "coordinates": COORDINATES, **LENGTH}
         arrays["modes"] = NetcdfArray((*DIMENSIONS, "axis", "mode"), surface.modes_mm, modes)
     track = {"long_name": "track position of the profile", **LENGTH}

@@ -12,7 +12,7 @@ from lscan.config.scenes import scenes_folder
 from sim.cli.app import STUDIES, OutputFolder, ScenesFolder, worker_processes
 from sim.studies.budget import DesignTrial, OutputBudget
 from sim.studies.indices import Bounded
-from sim.studies.page import figure, kept, largest
+from sim.studies.page import figure, largest, tolerance_sentence
 from sim.studies.results import as_document
 from sim.studies.studyfile import Tier
 
@@ -45,7 +45,7 @@ def study(
         headings = ["cause", "stated", "allowed", "factor"]
         rows = [[c.cause, c.stated, c.allowed or "as it is", c.factor or ""]
                 for c in tolerances.causes]  # fmt: skip
-        lines += [table("tolerances", headings, rows), kept(tolerances)]
+        lines += [table("tolerances", headings, rows), tolerance_sentence(tolerances)]
     lines += _front_lines(found.trials)
     show(as_document(found), *lines, str(output / "report.html"), json=json)
 

@@ -29,7 +29,7 @@ from sim.truth import (
 )
 
 
-def _exposed(
+def _expose(
     scene: Scene, layers: Layers, *stream: int, exposure_ms: float | None = None
 ) -> tuple[Bytes, float]:
     """What the scene's webcam takes of rendered light, uint8, and how long it exposes it, ms.
@@ -62,7 +62,7 @@ def board_case(scene: Scene, name: str, axes: Mapping[str, str], layers: Layers)
     return BoardCase(
         name,
         axes,
-        _exposed(scene, layers, 1)[0],
+        _expose(scene, layers, 1)[0],
         scene.board(),
         scene.rig.optics,
         joined_marks(board_truth(scene, scene.rig.plan.start_mm).centres),
@@ -117,13 +117,13 @@ def line_case(
     truths : sequence, as of ``line_truths``
     pair : bool, whether there is a picture with the laser off besides
     """
-    picture, exposure_ms = _exposed(scene, layers, 1)
+    picture, exposure_ms = _expose(scene, layers, 1)
     shown = truths if scene.tank.laser.on else ()
     return SuiteCase(
         name,
         axes,
         picture,
-        _exposed(scene, layers.without_laser(), 2, exposure_ms=exposure_ms)[0] if pair else None,
+        _expose(scene, layers.without_laser(), 2, exposure_ms=exposure_ms)[0] if pair else None,
         label_scene(scene, scene.rig.plan.start_mm, layers, shown, exposure_ms),
         _truth_of(scene, truths, exposure_ms),
         scene.rig.stripe,
@@ -178,15 +178,15 @@ def turned_case(case: SuiteCase) -> SuiteCase:
     case : SuiteCase, of a line across the columns
     """
 
-    def swapped(image: Bytes) -> Bytes:
+    def swap_axes(image: Bytes) -> Bytes:
         return np.ascontiguousarray(np.swapaxes(image, 0, 1))
 
     return replace(
         case,
-        picture=swapped(case.picture),
-        dark=None if case.dark is None else swapped(case.dark),
-        labels=swapped(case.labels),
-        layers=None if case.layers is None else case.layers.turned(),
+        picture=swap_axes(case.picture),
+        dark=None if case.dark is None else swap_axes(case.dark),
+        labels=swap_axes(case.labels),
+        layers=None if case.layers is None else case.layers.transpose(),
         settings=case.settings.model_copy(update={"axis": "rows"}),
     )
 
@@ -258,7 +258,7 @@ def scan_cases(first: ScanScenes, cases: Sequence[ScanScenes]) -> list[ScanCase]
         layers = tank.render(moment.position_mm)
         for case, taken in zip(cases, frames, strict=True):
             of_case = at_moment(case.scan, number, position_mm).scene
-            taken.append(_exposed(of_case, layers, FRAMES, number))
+            taken.append(_expose(of_case, layers, FRAMES, number))
     truths = _truths(first.scan, positions)
     slices = _slices(first.scan)
     return [

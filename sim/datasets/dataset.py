@@ -25,7 +25,7 @@ from sim.datasets.datasetshards import (
     kept_record,
     make_shard,
     packed_shard,
-    rendered,
+    rendered_files,
 )
 from sim.datasets.datasetspec import DatasetSpec
 from sim.datasets.labels import CORE, Label
@@ -88,7 +88,7 @@ def make_dataset(
         identity = _identity(spec, count, form)
         _keep_identity(folder, identity, resume)
         tasks = _tasks(spec, folder, count, form)
-        records = _kept(tasks)
+        records = _kept_records(tasks)
         missing = [task for task in tasks if task.number not in records]
         done = sum(task.count for task in tasks if task.number in records)
         if missing and say is not None:
@@ -112,7 +112,7 @@ def make_dataset(
         return manifest
 
 
-def _kept(tasks: Sequence[ShardTask]) -> dict[int, ShardRecord]:
+def _kept_records(tasks: Sequence[ShardTask]) -> dict[int, ShardRecord]:
     """The records of the shards that are there, by number, each shard held against its hash."""
     records: dict[int, ShardRecord] = {}
     with long_work("shards checked") as progress:
@@ -135,7 +135,7 @@ def _tasks(spec: DatasetSpec, folder: Path, count: int, form: Format) -> list[Sh
 def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -> str:
     """How long the shards will take, from the first few pictures."""
     tried = replace(tasks[0], count=min(TRIED, tasks[0].count))
-    times = [time.perf_counter(), *(time.perf_counter() for _ in rendered(tried))]
+    times = [time.perf_counter(), *(time.perf_counter() for _ in rendered_files(tried))]
     picture_s = min(after - before for before, after in pairwise(times))
     tank_s = max(times[1] - times[0] - picture_s, 0.0)
     count = sum(task.count for task in tasks)

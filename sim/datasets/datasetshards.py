@@ -27,7 +27,7 @@ from lscan.files.disk import (
     write_atomically,
 )
 from lscan.files.jsonfiles import json_text, read_json, write_json
-from lscan.files.pictures import encoded
+from lscan.files.pictures import encode_picture
 from sim.datasets.datasetspec import POSITION, DatasetSpec
 from sim.datasets.labels import Label, label_scene, line_columns, lit_truths, one_step_w_m2_sr
 from sim.scene import Scene, at_moment
@@ -97,7 +97,7 @@ def make_shard(task: ShardTask) -> ShardRecord:
     """
     make_folder(_parts(task))
     there = list_names(_parts(task))
-    for key, found in rendered(task, {Path(name).stem for name in there}):
+    for key, found in rendered_files(task, {Path(name).stem for name in there}):
         failed = isinstance(found, str)
         data = found.encode() if isinstance(found, str) else _tar(key, found)
         write_atomically(_parts(task) / f"{key}{FAILED if failed else PICTURE}", data)
@@ -175,7 +175,7 @@ def kept_record(task: ShardTask) -> ShardRecord | None:
     return record if whole and same else None
 
 
-def rendered(
+def rendered_files(
     task: ShardTask, but: Set[str] = frozenset()
 ) -> Iterator[tuple[str, dict[str, bytes] | str]]:
     """Each picture's key, and its files, or in one line why there are none.
@@ -252,15 +252,15 @@ def picture_files(tank: Any, scene: Scene, drawn: Mapping[str, float]) -> dict[s
         "rle": {label.name: run_lengths(labels == label) for label in Label},
     }
     found = (
-        encoded(image, ".png", PNG_NOISY),
-        encoded(labels, ".png", PNG_FAST),
-        _zipped(arrays),
+        encode_picture(image, ".png", PNG_NOISY),
+        encode_picture(labels, ".png", PNG_FAST),
+        _npz_bytes(arrays),
         json_text(content, compact=True).encode(),
     )
     return dict(zip(MEMBERS, found, strict=True))
 
 
-def _zipped(arrays: Mapping[str, np.ndarray]) -> bytes:
+def _npz_bytes(arrays: Mapping[str, np.ndarray]) -> bytes:
     """As ``np.savez_compressed`` writes them, but quickly, and the same at any time of day."""
     stream = BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=ZIP_FAST) as file:

@@ -102,7 +102,7 @@ class DatasetSpec:
             A number is out of the range of its key.
         """
         which = np.random.default_rng([self.file.seed, shard, 1]).integers(len(self.scenes))
-        return self._drawn(self.scenes[which], shard, each_picture=False)
+        return self._draw(self.scenes[which], shard, each_picture=False)
 
     def picture(self, tank: Scene, number: int) -> tuple[Scene, dict[str, float]]:
         """The scene of one picture, and the numbers drawn for it, the head's position among them.
@@ -117,11 +117,11 @@ class DatasetSpec:
         InputError
             A number is out of the range of its key.
         """
-        scene, numbers = self._drawn(tank, number, each_picture=True)
+        scene, numbers = self._draw(tank, number, each_picture=True)
         seeded = scene.with_tank(sensor={"seed": _stream(self.file.seed, "sensor.seed", number)})
         return seeded, {POSITION: scene.rig.plan.start_mm, **numbers}
 
-    def _drawn(
+    def _draw(
         self, scene: Scene, number: int, *, each_picture: bool
     ) -> tuple[Scene, dict[str, float]]:
         numbers: dict[str, float] = {}

@@ -199,10 +199,10 @@ def write_truth(
         if progress is not None:
             progress(min(first + AT_ONCE, len(taken)), len(taken))
     make_folder(folder)
-    return {name: _written(folder / f"{name}.csv", rows) for name, rows in tables.items()}
+    return {name: _table_in_file(folder / f"{name}.csv", rows) for name, rows in tables.items()}
 
 
-def _written(file: Path, rows: Sequence[Row]) -> TruthTable:
+def _table_in_file(file: Path, rows: Sequence[Row]) -> TruthTable:
     """The table in a file; rows: its head first, the status last in each."""
     stream = StringIO()
     csv.writer(stream, lineterminator="\n").writerows(rows)

@@ -57,7 +57,7 @@ def tank() -> TankPictures:
 
     known: dict[str, SuiteCase | BoardCase] = {}
 
-    def shown(
+    def case_shown(
         scene: str, sections: Mapping[str, Mapping[str, Any]] | None = None
     ) -> SuiteCase | BoardCase:
         document = merge(read_document(included_file(Path(), scene)), dict(sections or {}))
@@ -66,4 +66,4 @@ def tank() -> TankPictures:
             known[content] = rendered_case(scene, document)
         return known[content]
 
-    return shown
+    return case_shown

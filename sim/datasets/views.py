@@ -91,12 +91,12 @@ def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Bytes, Byt
     The head stands at track position 0.  Light adds up, so one render serves both, and so does
     the exposure of the second.
     """
-    from sim.devices import metered
+    from sim.devices import metered_layers
     from sim.render.tank import Tank
     from sim.sensor import Webcam
 
     webcam = Webcam(scene)
-    layers, exposure_ms = metered(scene, Tank(scene), webcam, 0.0)
+    layers, exposure_ms = metered_layers(scene, Tank(scene), webcam, 0.0)
     dark = webcam.expose(layers.without_laser(), exposure_ms, generator)
     return dark, webcam.expose(layers, exposure_ms, generator)
 
@@ -133,7 +133,7 @@ def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:
         found = f"1 to {len(drawn.middle_mm)}, the poses found that serve"
         raise InputError("poses of the board", where=scene.source, value=count, allowed=found)
     chosen = drawn.only(_most_different(drawn.features, count))
-    return [_held(scene, board, chosen, number) for number in range(count)]
+    return [_scene_of_pose(scene, board, chosen, number) for number in range(count)]
 
 
 def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
@@ -234,7 +234,7 @@ def _most_different(features: Floats, count: int) -> list[int]:
     return chosen
 
 
-def _held(scene: Scene, board: Board, poses: Poses, number: int) -> Scene:
+def _scene_of_pose(scene: Scene, board: Board, poses: Poses, number: int) -> Scene:
     """The scene with its board in one of the poses."""
     corner = poses.middle_mm[number] - poses.rotation[number] @ _middle_mm(board)
     turn, tilt = (poses.features[number, :2] * MOST_DEG).tolist()

@@ -182,7 +182,7 @@ class EmulatedHardware:
             self._track = EmulatedTrack(scene.rig.plan, self.options.dialect, self.options.link)
             stack.callback(self._track.unplug)
             self.controller = self._track.controller
-            self._places = places = self._rendered(progress)
+            self._places = places = self._render_places(progress)
             seed = scene.tank.sensor.seed
             self._camera = EmulatedCamera(places, self._head_state, self.options, seed)
             stack.callback(self._camera.close)
@@ -293,7 +293,7 @@ class EmulatedHardware:
         lit = not self.options.switched_laser or self._track.lit
         return HeadState(self._track.position_mm, lit, self._track.now_mm)
 
-    def _rendered(self, progress: Progress | None) -> Places:
+    def _render_places(self, progress: Progress | None) -> Places:
         """The places, with the plan's first or, to prepare, all of them rendered."""
         options, plan = self.options, self.scene.rig.plan
         wanted = plan.positions_mm() if options.prepare else plan.positions_mm()[:1]

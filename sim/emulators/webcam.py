@@ -18,7 +18,7 @@ from lscan.errors import InputError
 from lscan.records import Bytes
 from sim.devices import camera_options
 from sim.emulators.track import ServeOptions
-from sim.processes import HelperEnded, HelperProcess, started
+from sim.processes import HelperEnded, HelperProcess, start_helpers
 from sim.render.backend import sharing
 from sim.render.tank import Tank
 from sim.scene import Scene
@@ -53,7 +53,7 @@ class Places:
         with_laser, without = self._kept(round(position_mm, NANOMETRE))
         return with_laser if lit else without
 
-    def passed(self, position_mm: float, *, lit: bool = True) -> StillView:
+    def passing_view(self, position_mm: float, *, lit: bool = True) -> StillView:
         """The view from a position in mm that the head passes: nothing is kept of it."""
         with_laser, without = self._render(position_mm)
         return with_laser if lit else without
@@ -63,7 +63,7 @@ class Places:
         """Processes on the other cores that make a ``PassedPicture`` each, until the block ends."""
         with sharing() as environments:
             make = partial(PassedPicture, self._scene, self._switched)
-            helpers = started(make, environments)
+            helpers = start_helpers(make, environments)
             try:
                 yield helpers
             finally:
@@ -87,7 +87,7 @@ class PassedPicture:
 
     def __call__(self, position_mm: float, lit: bool, seed: int) -> Bytes:
         """The picture of a place in mm, with the noise of a seed."""
-        view = self._places.passed(position_mm, lit=lit)
+        view = self._places.passing_view(position_mm, lit=lit)
         return view.picture(np.random.Generator(np.random.SFC64(seed)))
 
 
@@ -212,7 +212,7 @@ class EmulatedCamera:
             head, begun_s = self._head_state(), time.monotonic()
             if self._is_passing(head):
                 self._begin_beside()
-                view = self._places.passed(head.now_mm, lit=head.lit)
+                view = self._places.passing_view(head.now_mm, lit=head.lit)
             elif head.position_mm is None:
                 view = self._places.view(self._rested_mm, lit=head.lit)
             else:

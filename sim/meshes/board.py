@@ -108,7 +108,7 @@ def _mark_polygons(true: TrueBoard) -> list[Polygon]:
 
 def _printed_outline(true: TrueBoard, mark: Polygon, shift: Floats) -> Polygon:
     """A nominal mark as it is printed."""
-    return shapely.transform(mark, lambda places: true.printed(places, shift))
+    return shapely.transform(mark, lambda places: true.printed_places(places, shift))
 
 
 def _disc(centre: Floats, diameter_mm: float) -> Polygon:

@@ -384,13 +384,13 @@ class SparseLaserLight:
         layers = direct, seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
         if seen.uneven.size:
             side = isqrt(samples)
-            dark = self._put(layers, seen.uneven, side)
+            dark = self._put_samples(layers, seen.uneven, side)
             edges = self._edges(seen, direct, dark)
             if edges.size:
-                self._put(layers, edges, FINER * side)
+                self._put_samples(layers, edges, FINER * side)
         return FirstOrder(*layers, seen)
 
-    def _put(self, layers: tuple[Picture, Picture], pixels: Ints, side: int) -> Picture:
+    def _put_samples(self, layers: tuple[Picture, Picture], pixels: Ints, side: int) -> Picture:
         """Sample pixels, put their light into the layers; (N,) share of each without any."""
         (width, height), fineness = self._size_px, self._fineness
         row, column = np.divmod(pixels, width)

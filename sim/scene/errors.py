@@ -74,7 +74,7 @@ class TrueBoard:
         drawn = self.errors.dot_noise_mm * generator.standard_normal((sum(counts), 2))
         return np.split(drawn, np.cumsum(counts)[:-1])
 
-    def printed(self, places: Floats, shift_mm: Floats) -> Floats:
+    def printed_places(self, places: Floats, shift_mm: Floats) -> Floats:
         """(N, 2) places of marks on the flat plate, mm, from their (N, 2) nominal ones.
 
         Parameters

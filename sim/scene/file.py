@@ -47,7 +47,7 @@ class Render(Strict):
     @model_validator(mode="after")
     def _square(self) -> Self:
         if not _is_square_of(self.samples, self.fineness):
-            raise ValueError(f"samples must be {_allowed(self.fineness)}")
+            raise ValueError(f"samples must be {_allowed_samples(self.fineness)}")
         return self
 
 
@@ -67,7 +67,7 @@ def check_samples(samples: int, fineness: int, where: str) -> None:
     """
     if samples < 1 or not _is_square_of(samples, fineness):
         what = "not a square number" + (" in each part of a pixel" if fineness > 1 else "")
-        raise InputError(what, where=where, value=samples, allowed=_allowed(fineness))
+        raise InputError(what, where=where, value=samples, allowed=_allowed_samples(fineness))
 
 
 def _is_square_of(samples: int, fineness: int) -> bool:
@@ -75,7 +75,7 @@ def _is_square_of(samples: int, fineness: int) -> bool:
     return side**2 == samples and side % fineness == 0
 
 
-def _allowed(fineness: int) -> str:
+def _allowed_samples(fineness: int) -> str:
     some = ", ".join(str((fineness * side) ** 2) for side in range(1, 6))
     share = f" times the square of fineness {fineness}" if fineness > 1 else ""
     return f"a square number{share} ({some} ...)"

@@ -227,7 +227,7 @@ class Change(Strict):
         odds = np.cumsum(self.weights or np.ones(len(values)))
         return values[int(np.searchsorted(odds[:-1] / odds[-1], share, side="right"))]
 
-    def changed(self, number: float, offset: float) -> float:
+    def change_number(self, number: float, offset: float) -> float:
         """The scene's number with an offset added, or where relative, in proportion.
 
         Parameters
@@ -279,5 +279,5 @@ def with_offsets(scene: "Scene", offsets: Iterable[tuple[Change, float]], where:
     numbers: dict[str, float] = {}
     for change, offset in offsets:
         now = numbers.get(change.key, number_at(scene, change.key))
-        numbers[change.key] = change.changed(now, offset)
+        numbers[change.key] = change.change_number(now, offset)
     return with_numbers(scene, numbers, where)

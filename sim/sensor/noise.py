@@ -119,7 +119,7 @@ def read_out(
     return read
 
 
-def gathered(electrons: Electrons, pattern: FixedPattern) -> Electrons:
+def with_pattern(electrons: Electrons, pattern: FixedPattern) -> Electrons:
     """Electrons to be expected in these very pixels: ``electrons``, changed in place."""
     electrons *= pattern.sensitivity
     if pattern.hot_e is not None:

@@ -26,9 +26,9 @@ from sim.sensor.noise import (
     digitise,
     electrons_of,
     fixed_pattern,
-    gathered,
     read_out,
     through_jpeg,
+    with_pattern,
 )
 from sim.sensor.radiometry import (
     AMBIENT_NM,
@@ -169,7 +169,7 @@ class Webcam:
             laser = self._photons(layers.laser, exposure_ms, nm)
         electrons = self._on_pixels(self._electrons(laser, layers, exposure_ms))
         if self._pattern is not None:
-            expected = gathered(electrons, self._pattern)
+            expected = with_pattern(electrons, self._pattern)
             electrons = read_out(expected, self.sensor, self._pattern, generator)
         return through_jpeg(digitise(electrons, self.sensor, self._filter), self.sensor)
 
@@ -213,7 +213,7 @@ class Webcam:
         contrast = self._contrast(nm)
         other = self._photons(layers.scattered if contrast else layers.laser, exposure_ms, nm)
         rest = self._electrons(other, layers, exposure_ms)
-        steady = gathered(self._on_pixels(rest), pattern)
+        steady = with_pattern(self._on_pixels(rest), pattern)
         photons = self._photons(layers.direct, exposure_ms, nm) if contrast else 0 * other
         lit = np.flatnonzero((photons > 0).any(axis=1))
         first, end = (int(lit[0]), int(lit[-1]) + 1) if lit.size else (0, 0)

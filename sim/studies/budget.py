@@ -386,8 +386,8 @@ def _cause(
     return CauseBudget(
         cause=group,
         alone_rms=_rms(errors_in(runs, name, alone(group)), seed),
-        first=_bounded(*astuple(own.first)) if own else None,
-        total=_bounded(*astuple(own.total)) if own else None,
+        first=_finite_bounded(*astuple(own.first)) if own else None,
+        total=_finite_bounded(*astuple(own.total)) if own else None,
         sensitivity=_sensitivity(runs, name, group),
     )
 
@@ -417,7 +417,7 @@ def _weights(runs: int, seed: int) -> Floats:
     return rng.multinomial(runs, np.full(runs, 1 / runs), size=RESAMPLES) / runs
 
 
-def _bounded(value: float, low: float, high: float) -> Bounded | None:
+def _finite_bounded(value: float, low: float, high: float) -> Bounded | None:
     ends = (float(value), float(low), float(high))
     return Bounded(*ends) if np.isfinite(ends).all() else None
 
@@ -435,7 +435,7 @@ def _root(squares: Floats, seed: int) -> Bounded | None:
     """
     mean, variance = squares.mean(), squares.var()
     if variance == 0:
-        return _bounded(*[np.sqrt(mean)] * 3)
+        return _finite_bounded(*[np.sqrt(mean)] * 3)
     weights = _weights(len(squares), seed)
     means = weights @ squares
     variances = weights @ (squares - mean) ** 2 - (means - mean) ** 2
@@ -443,7 +443,7 @@ def _root(squares: Floats, seed: int) -> Bounded | None:
     off = np.log(means[told] / mean) * means[told] / np.sqrt(variances[told])
     low, high = np.percentile(off, PERCENT) if told.any() else (0.0, 0.0)
     step = np.sqrt(variance) / mean
-    return _bounded(*np.sqrt(mean * np.exp(-step * np.array([0.0, high, low]))))
+    return _finite_bounded(*np.sqrt(mean * np.exp(-step * np.array([0.0, high, low]))))
 
 
 def _mean_and_deviation(errors: Floats, seed: int) -> tuple[Bounded | None, Bounded | None]:
@@ -460,7 +460,7 @@ def _mean_and_deviation(errors: Floats, seed: int) -> tuple[Bounded | None, Boun
         mean = np.sqrt(max((means**2).mean() - squares.mean() / n, 0.0))
         bias = 2 * (weights @ squares) / n
         more = np.sqrt(np.maximum((more_means**2).mean(axis=1) - bias, 0.0))
-    return _bounded(mean, *np.percentile(more, PERCENT)), _root(squares, seed)
+    return _finite_bounded(mean, *np.percentile(more, PERCENT)), _root(squares, seed)
 
 
 def _sensitivity(runs: StudyRuns, name: str, group: str) -> float | None:

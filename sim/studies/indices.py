@@ -32,7 +32,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from lscan.records import Floats, Mask
-from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, columns, mixed
+from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, columns, mixed_block
 
 # 95 % confidence intervals from the scatter of a design's independent sets of points.
 #
@@ -190,15 +190,15 @@ def term_means(cheap: Floats, dear: Floats | None = None) -> TermMeans:
     dear : (N, q) array, optional, of the same rigs; NaN where there is none
     """
     kept: Mask = np.asarray(np.isfinite(cheap).all(axis=1))
-    samples = [kept[:, None], _zeroed(cheap, kept)]
+    samples = [kept[:, None], _zero_unused(cheap, kept)]
     if dear is not None:
         both: Mask = np.asarray(kept & np.isfinite(dear).all(axis=1))
-        x, y = _zeroed(cheap, both), _zeroed(dear, both)
+        x, y = _zero_unused(cheap, both), _zero_unused(dear, both)
         samples += [both[:, None], x, y, x**2, x * y]
     return TermMeans(set_sums(np.hstack(samples)), cheap.shape[1])
 
 
-def _zeroed(terms: Floats, kept: Mask) -> Floats:
+def _zero_unused(terms: Floats, kept: Mask) -> Floats:
     return np.where(kept[:, None], terms, 0.0)
 
 
@@ -356,14 +356,14 @@ def next_base(indices: Iterable[Indices], wanted_half_width: float, base: int) -
 
 
 def _output_indices(design: Design, tiers: Sequence[Mapping[str, Floats]]) -> Indices:
-    names = (ALL, AGAIN, *map(mixed, design.groups))
+    names = (ALL, AGAIN, *map(mixed_block, design.groups))
     both = [np.concatenate([blocks[ALL], blocks[AGAIN]]) for blocks in tiers]
     centres = [_centre(*both[: k + 1]) for k in range(len(both))]
     groups, firsts = {}, []
     for group in design.groups:
         samples = []
         for blocks, centre in zip(tiers, centres, strict=True):
-            samples.append([blocks[name] - centre for name in (ALL, AGAIN, mixed(group))])
+            samples.append([blocks[name] - centre for name in (ALL, AGAIN, mixed_block(group))])
         first, total = (
             term_means(*(_terms(*terms(a, b, c), _dot(a, b)) for a, b, c in samples))
             for terms in (_of_first, _of_total)

@@ -225,8 +225,8 @@ def _scatter(scatter: CauseScatter, unit: str) -> StudyPlot:
     dots = {
         "type": "scatter",
         "mode": "markers",
-        "x": _rounded(scatter.values),
-        "y": _rounded(scatter.errors),
+        "x": _round(scatter.values),
+        "y": _round(scatter.errors),
         "marker": {"size": 5, "opacity": 0.55, "color": "var(--first)"},
     }
     axes = {
@@ -245,11 +245,11 @@ def _map(maps: Sequence[ErrorMap]) -> StudyPlot | None:
     figures: dict[str, dict[str, list[float]]] = defaultdict(dict)
     for one in maps:
         state = f", {RECALIBRATED}" if one.output.endswith(AFTER) else ""
-        figures[f"rms error{state}"][one.cause] = _rounded(one.rms)
-        figures[f"mean error{state}"][one.cause] = _rounded(one.mean)
+        figures[f"rms error{state}"][one.cause] = _round(one.rms)
+        figures[f"mean error{state}"][one.cause] = _round(one.mean)
     worst = sorted(maps, key=lambda one: -max(one.rms))
     causes = list(dict.fromkeys(one.cause for one in worst))
-    across, along = (_rounded(axis) for axis in zip(*maps[0].xy_mm, strict=True))
+    across, along = (_round(axis) for axis in zip(*maps[0].xy_mm, strict=True))
     chosen = [
         [figures[figure].get(cause, []) for figure in figures] for cause in causes
     ]  # by place in the menus
@@ -322,7 +322,7 @@ def by_total(causes: Sequence[CauseBudget]) -> list[CauseBudget]:
     return sorted(causes, key=lambda c: -c.total.value if c.total else float("inf"))
 
 
-def _rounded(values: Sequence[float]) -> list[float]:
+def _round(values: Sequence[float]) -> list[float]:
     """Four digits are more than a plot shows, and half of the page."""
     return [float(f"{value:.4g}") for value in values]
 
@@ -352,15 +352,15 @@ def render_page(results: StudyResults) -> str:
         figure=figure,
         share=share,
         headline=headline,
-        kept=kept,
-        ranked=ranked,
+        kept=tolerance_sentence,
+        ranked=ranked_causes,
     )
     return template.render(
         results=results,
         plots=plots,
         front=front,
         every=every,
-        varied=_counted(results.causes),
+        varied=_facts_by_name(results.causes),
         failed=sum(results.failures.values()),
         source=json.dumps(results.source, indent=2, ensure_ascii=False, default=str),
         data=_script_data(every),
@@ -392,7 +392,7 @@ def headline(budget: OutputBudget) -> str:
     else:
         words.append(f"No cause’s share of the variance of {budget.name} is told apart from zero.")
     if budget.after:
-        words.append(_recalibrated(budget, budget.after, cause.cause if cause else ""))
+        words.append(_gain_sentence(budget, budget.after, cause.cause if cause else ""))
     return " ".join(filter(None, words))
 
 
@@ -408,7 +408,7 @@ def systematic_share(budget: OutputBudget) -> float:
     return min((budget.mean.value / budget.rms.value) ** 2, 1.0)
 
 
-def ranked(budget: OutputBudget) -> list[tuple[CauseBudget, CauseBudget | None]]:
+def ranked_causes(budget: OutputBudget) -> list[tuple[CauseBudget, CauseBudget | None]]:
     """The causes as the table has them, the largest first, each with itself after recalibration.
 
     Parameters
@@ -419,7 +419,7 @@ def ranked(budget: OutputBudget) -> list[tuple[CauseBudget, CauseBudget | None]]
     return [(cause, after.get(cause.cause)) for cause in by_total(budget.causes)]
 
 
-def kept(tolerances: Tolerances) -> str:
+def tolerance_sentence(tolerances: Tolerances) -> str:
     """The finding on the tolerances in a sentence or two.
 
     Parameters
@@ -446,7 +446,7 @@ def _mm(size: float | None) -> str:
     return "not to be had" if size is None else f"{figure(size)}\u00a0mm"
 
 
-def _counted(causes: Sequence[CauseFacts]) -> dict[str, CauseFacts]:
+def _facts_by_name(causes: Sequence[CauseFacts]) -> dict[str, CauseFacts]:
     """The causes by the names in the budgets; of a group one, which says when all are at work."""
     found: dict[str, CauseFacts] = {}
     for cause in causes:
@@ -456,7 +456,7 @@ def _counted(causes: Sequence[CauseFacts]) -> dict[str, CauseFacts]:
     return found
 
 
-def _recalibrated(before: OutputBudget, after: OutputBudget, cause: str) -> str:
+def _gain_sentence(before: OutputBudget, after: OutputBudget, cause: str) -> str:
     """What recalibrating takes away."""
     if before.rms is None or after.rms is None:
         return ""

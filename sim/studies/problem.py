@@ -131,7 +131,7 @@ def alone(group: str) -> str:
     return f"alone: {group}"
 
 
-def mixed(group: str) -> str:
+def mixed_block(group: str) -> str:
     """The block ALL with this group's causes as they are in the block AGAIN.
 
     Parameters
@@ -217,7 +217,7 @@ def make_design(
         rows[:, mask] = _points(int(mask.sum()), apart, (seed, 1 + k))
         blocks[alone(name)] = rows
     blocks |= {ALL: first, AGAIN: again}
-    blocks |= {mixed(name): np.where(mask, again, first) for name, mask in masks.items()}
+    blocks |= {mixed_block(name): np.where(mask, again, first) for name, mask in masks.items()}
     return Design(blocks, tuple(groups))
 
 

@@ -16,7 +16,7 @@ from lscan.version import __version__
 from sim.studies.budget import CauseFacts, StudyResults, StudyRuns
 from sim.studies.page import render_page
 from sim.studies.problem import AGAIN, ALL, Design, Output, columns
-from sim.studies.rig.states import correlated, share_of
+from sim.studies.rig.states import correlate, share_of
 from sim.studies.store import Results
 from sim.studies.studyfile import Cause, Study
 
@@ -55,7 +55,7 @@ def as_document(results: StudyResults) -> dict[str, Any]:
     ----------
     results : StudyResults
     """
-    return _renamed(asdict(results), lambda name, unit: (name, name + _suffix(unit)))
+    return _rename_numbers(asdict(results), lambda name, unit: (name, name + _suffix(unit)))
 
 
 def load_results(folder: Path) -> StudyResults:
@@ -73,7 +73,7 @@ def load_results(folder: Path) -> StudyResults:
     file = folder / RESULTS
     try:
         document = json.loads(read_text(file, MOST_BYTES))
-        document = _renamed(document, lambda name, unit: (name + _suffix(unit), name))
+        document = _rename_numbers(document, lambda name, unit: (name + _suffix(unit), name))
         return _RESULTS.validate_python(document)
     except ValidationError as error:
         first = error.errors()[0]
@@ -143,7 +143,7 @@ def _suffix(unit: str) -> str:
     return "_" + unit.replace("/", "_per_").replace("%", "percent").replace(" ", "_")
 
 
-def _renamed(document: dict[str, Any], names: Any) -> dict[str, Any]:
+def _rename_numbers(document: dict[str, Any], names: Any) -> dict[str, Any]:
     """The document with the numbers in an output's unit renamed by ``names`` of name and unit."""
     causes = {cause["name"]: cause["unit"] for cause in document["causes"]}
 
@@ -187,7 +187,7 @@ def runs_of(
     """
     rows, facts = design.rows, tuple(map(_facts, *zip(*study.file.cause.items(), strict=True)))
     root = study.correlation_root()
-    shares = np.stack([correlated(row, root) for row in rows])
+    shares = np.stack([correlate(row, root) for row in rows])
     physical = np.full(rows.shape, np.nan)
     for column, cause in enumerate(study.file.cause.values()):
         if cause.when in ("noise", "each-frame"):
@@ -200,7 +200,7 @@ def runs_of(
     )
 
 
-def joined(runs: StudyRuns, rendered: StudyRuns) -> StudyRuns:
+def joined_runs(runs: StudyRuns, rendered: StudyRuns) -> StudyRuns:
     """The runs of both tiers; the blocks of those that were rendered say so.
 
     Parameters

@@ -27,7 +27,7 @@ from sim.studies.budget import (
 from sim.studies.design.run import design_problem, design_runs, search_designs
 from sim.studies.indices import Indices, next_base, sobol_indices
 from sim.studies.problem import BASE, Design, Output, alone, columns, make_design
-from sim.studies.results import joined, runs_of, write_results
+from sim.studies.results import joined_runs, runs_of, write_results
 from sim.studies.rig.prepared import Prepared
 from sim.studies.rig.states import check_keys
 from sim.studies.running import (
@@ -52,7 +52,7 @@ from sim.studies.tiers import (
     bounded_output,
     find_tolerances,
     in_rendered_physics,
-    padded,
+    pad_rows,
     rendered_design,
     sizes_of,
     tier_rows,
@@ -227,11 +227,11 @@ def _results(
     indices, every = found.convergence[-1][1], runs
     tiers: tuple[TierRow, ...] = ()
     if rendered is not None:
-        values = padded(found.design, rendered[0], rendered[1].values)
+        values = pad_rows(found.design, rendered[0], rendered[1].values)
         both = found.design, found.results.values
         indices = sobol_indices(*both, found.outputs, values)
         tiers = tier_rows(*both, values, found.outputs)
-        every = joined(runs, runs_of(study, *rendered, found.outputs))
+        every = joined_runs(runs, runs_of(study, *rendered, found.outputs))
     convergence = {name: _convergence(found.convergence, name) for name in indices}
     budgets = budgets_of(runs, indices, seed=study.file.seed, convergence=convergence)
     if rendered is not None:

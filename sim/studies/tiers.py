@@ -34,7 +34,7 @@ from sim.studies.problem import (
     alone,
     columns,
     make_design,
-    mixed,
+    mixed_block,
 )
 from sim.studies.rig.states import SEEDED
 from sim.studies.store import OK, Results
@@ -69,7 +69,7 @@ def rendered_design(design: Design, squares: Mapping[str, float], most: int) -> 
     samples = min(samples, len(design.blocks[ALL]))
     left = most - 1 - samples * a_sample
     large = large_causes(squares)[: left // FEWEST]
-    counts = {BASE: 1} | dict.fromkeys((ALL, AGAIN, *map(mixed, design.groups)), samples)
+    counts = {BASE: 1} | dict.fromkeys((ALL, AGAIN, *map(mixed_block, design.groups)), samples)
     counts |= {alone(group): left // len(large) for group in large}
     return beginnings(design, counts)
 
@@ -86,7 +86,7 @@ def beginnings(design: Design, counts: Mapping[str, int]) -> Design:
     return Design(blocks, design.groups)
 
 
-def padded(design: Design, part: Design, values: Floats) -> Floats:
+def pad_rows(design: Design, part: Design, values: Floats) -> Floats:
     """(R, K) results of a part of a design in the place of its rows, NaN elsewhere.
 
     Parameters
@@ -144,7 +144,7 @@ def tier_rows(
         cheap, dear = (design.split(tier[:, where]) for tier in (geometric, rendered))
         compared = {"all causes": _all(cheap, dear), "no cause": _base(cheap[BASE], dear[BASE])}
         for group in large_causes(alone_squares(design, geometric[:, where])):
-            compared[_alone(group)] = paired(cheap[alone(group)], dear[alone(group)])
+            compared[_alone(group)] = paired_bounds(cheap[alone(group)], dear[alone(group)])
         rows += [
             TierRow(_words(output.name, what), output.unit, *bounds)
             for what, bounds in compared.items()
@@ -176,14 +176,14 @@ def in_rendered_physics(
         budget,
         causes=tuple(map(cause, budget.causes)),
         base_rms=base.value if base else None,
-        mean=_told(moments.mean if budget.places == 1 else _root(moments.systematic)),
-        standard_uncertainty=_told(_root(moments.variance)),
-        rms=_told(_root(moments.mean_square)),
+        mean=_if_bounded(moments.mean if budget.places == 1 else _root(moments.systematic)),
+        standard_uncertainty=_if_bounded(_root(moments.variance)),
+        rms=_if_bounded(_root(moments.mean_square)),
         after=budget.after and in_rendered_physics(budget.after, indices, tiers),
     )
 
 
-def paired(geometric: Floats, rendered: Floats) -> tuple[Bounded, Bounded, Bounded]:
+def paired_bounds(geometric: Floats, rendered: Floats) -> tuple[Bounded, Bounded, Bounded]:
     """Rms over rigs and places in the geometric tier, in the rendered one, and their difference.
 
     Parameters
@@ -223,7 +223,7 @@ def _root(square: Bounded) -> Bounded:
     return Bounded(*(float(np.sqrt(max(end, 0.0))) for end in ends))
 
 
-def _told(bounded: Bounded) -> Bounded | None:
+def _if_bounded(bounded: Bounded) -> Bounded | None:
     return bounded if np.isfinite(bounded.half_width) else None
 
 

@@ -143,7 +143,7 @@ class BoardTruth:
         a hundredth or less.
         """
         scene, true = self.scene, self.scene.true_board()
-        x, z = true.printed(places, shift).T
+        x, z = true.printed_places(places, shift).T
         world = target_pose(scene).apply(true.bent(np.column_stack([x, np.zeros_like(x), z])))
         position: Floats = np.full(len(world), self.position_mm)
         for _ in range(0 if travel_mm(scene) == 0 else TURNS):

@@ -78,7 +78,7 @@ def crossed_at(port: PlanePort, water_index: float, r_mm: Floats, depth_mm: Floa
     layers = [np.full_like(r_mm, port.gap_mm), np.full_like(r_mm, port.thickness_mm), depth_mm]
     thickness = np.stack(layers)
 
-    def layered(places: Floats) -> tuple[Floats, Floats]:
+    def ways_in_layers(places: Floats) -> tuple[Floats, Floats]:
         """(3, N) how far aside a way runs in each layer, and how long it is there."""
         ends = np.stack([np.zeros_like(r_mm), *places, r_mm])
         aside = np.diff(ends, axis=0)
@@ -86,7 +86,7 @@ def crossed_at(port: PlanePort, water_index: float, r_mm: Floats, depth_mm: Floa
 
     paraxial = np.cumsum(thickness / index, axis=0)
     places: Floats = r_mm * paraxial[:2] / paraxial[2]
-    aside, length = layered(places)
+    aside, length = ways_in_layers(places)
     for _ in range(MOST_STEPS):
         path = (index * length).sum(axis=0)
         pull = index * aside / length
@@ -98,7 +98,7 @@ def crossed_at(port: PlanePort, water_index: float, r_mm: Floats, depth_mm: Floa
         promised = ENOUGH * (gradient * step).sum(axis=0)
         share = np.ones_like(r_mm)
         while True:
-            aside, length = layered(places - share * step)
+            aside, length = ways_in_layers(places - share * step)
             excess = (index * length).sum(axis=0) - path + share * promised
             long = excess > ROUNDING * path
             if not long.any():

@@ -100,7 +100,9 @@ class Reflectance:
             else:
                 between = np.einsum("ij,ij->i", half, line.to_laser)
                 ratio = target.coat_index / index
-                finished = fresnel(between, ratio) * glint + coated(albedo, *cosines, ratio)
+                finished = fresnel(between, ratio) * glint + coated_radiance(
+                    albedo, *cosines, ratio
+                )
             light = np.where(self._is_on_floor(line.face), light, finished)
         return np.where(to_laser * to_camera > 0, light, 0.0)
 
@@ -166,7 +168,7 @@ def _smith_g1(cosine: Floats, roughness: float) -> Floats:
     return 2 / (1 + erf(a) + np.exp(-(a**2)) / (np.maximum(a, 1e-12) * np.sqrt(np.pi)))
 
 
-def coated(albedo: Floats, to_laser: Floats, to_camera: Floats, ratio: float) -> Floats:
+def coated_radiance(albedo: Floats, to_laser: Floats, to_camera: Floats, ratio: float) -> Floats:
     """(N,) light from the matt ground under a smooth coat, per irradiance across its way, 1/sr.
 
     ratio: the coat's index over the water's.  Light goes to and fro between ground and coat.
@@ -291,7 +293,7 @@ def irradiance(
     -------
     (N,) mW/mm2.
     """
-    xz = sheet.flattened(points)
+    xz = sheet.flatten(points)
     half = np.radians(laser.fan_half_angle_deg)
     angle = np.linspace(-half, half, FAN_STEPS)
     power = laser.power_mw * line.share / np.trapezoid(_fan(laser, angle), angle)
@@ -437,7 +439,7 @@ def brightest_pixel(
     per_px = offset_per_px(scene, line, sheet)
     along, across = (0, 1) if truth.axis == "columns" else (1, 0)
     steep = np.linalg.norm(per_px, axis=1)
-    distance = np.linalg.norm(sheet.flattened(line.points) - apex_xz(scene.tank.laser), axis=1)
+    distance = np.linalg.norm(sheet.flatten(line.points) - apex_xz(scene.tank.laser), axis=1)
     width = scene.tank.laser.half_thickness_mm(distance, camera.water_index) / 2 / steep
     lean2 = (per_px[:, along] / per_px[:, across]) ** 2
     centre = truth.centre_px[truth.status == Status.OK]

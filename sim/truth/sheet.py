@@ -161,7 +161,7 @@ class TrueSheet:
         y = np.zeros(len(xz_mm)) if self.bow is None else self.bow.offset_mm(x, z)
         return self.pose.apply(np.column_stack([x, y, z]))
 
-    def flattened(self, points_head: Floats) -> Floats:
+    def flatten(self, points_head: Floats) -> Floats:
         """(N, 2) points of the sheet beneath or above points, mm, frame of its plane.
 
         Parameters

@@ -146,7 +146,7 @@ def slice_visibility(scene: Scene, points_mm: Floats, line: int = 0) -> Mask:
     apex = np.broadcast_to(np.array(tank.laser.apex_mm), head.shape)
     start = into_world(tank.head, apex, position)
     surfaces = surfaces_of(scene)
-    shone = in_fan(tank.laser, sheet.flattened(head)) & ~is_blocked(surfaces, start, world)
+    shone = in_fan(tank.laser, sheet.flatten(head)) & ~is_blocked(surfaces, start, world)
     shone &= in_picture(scene, project(scene, head)) & seen(scene, surfaces, head, position)
     visible = np.zeros(len(points), dtype=bool)
     visible[passed] = shone

@@ -15,7 +15,7 @@ from lscan.acquisition.writer import PNG
 from lscan.benchmark.methods import time_call
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import RigFile
-from lscan.files.pictures import encoded
+from lscan.files.pictures import encode_picture
 from lscan.pipeline import READ_AT_ONCE, calibrate_run, reconstruct
 from lscan.records import Floats, Profile
 from lscan.stripe.extract import extract_stripes
@@ -75,7 +75,7 @@ def scan_seconds(rig_file: RigFile, frames: int, begun: int = BEGUN) -> float:
             if frame == begun:
                 begun_s = time.perf_counter()
             track.move_to(place_mm)
-            encoded(camera.grab(frame).image, ".png", PNG)
+            encode_picture(camera.grab(frame).image, ".png", PNG)
         return (time.perf_counter() - begun_s) / frames
 
 
@@ -114,7 +114,7 @@ def stage_seconds(tanks: Sequence[tuple[Tank, int]], pictures: int) -> Floats:
             place_mm, exposure_ms = picture * rig.plan.step_mm, rig.camera.exposure_ms
             render_s, layers = time_call(partial(tank.render, place_mm, scatter_samples=orders))
             sensor_s, image = time_call(partial(webcam.expose, layers, exposure_ms, generator))
-            png_s, _ = time_call(partial(encoded, image, ".png", PNG))
+            png_s, _ = time_call(partial(encode_picture, image, ".png", PNG))
             seconds[k, picture] = render_s, sensor_s, png_s
     return seconds[:, 1:]
 

@@ -155,7 +155,7 @@ class GrblMachine:
         """The axis's machine position at rest, two reports alike, of a controller still marked."""
         position_mm = agreed_reading(self._resting_mm, "position", self._link.name)
         if self._feed() != self._mark:
-            raise self._dialogue.restarted()
+            raise self._dialogue.restart_error()
         return position_mm
 
     def laser(self, power: float) -> None:

@@ -229,7 +229,7 @@ class Dialogue(Exchange[Message]):
             what = f"{self.link.name}: {in_words('ALARM', message.code)}; {self.alarm_remedy()}"
             raise DeviceError(what)
         if isinstance(message, Banner):
-            raise self.restarted()
+            raise self.restart_error()
         return message
 
     def alarm_remedy(self) -> str:

@@ -311,7 +311,7 @@ class Exchange(ABC, Generic[Said]):
         while self.following(self.link.clock()) is not None:
             pass
 
-    def restarted(self) -> Restarted:
+    def restart_error(self) -> Restarted:
         """The error that says so; the position is lost from here on."""
         self.lost = True
         mend = "home" if self.homes else "put the head back by hand"

@@ -54,7 +54,7 @@ class MarlinExchange(Exchange[str]):
         if text.startswith("echo:Unknown command"):
             raise Lacking(f"{name}: {text[:80]!r}; the firmware lacks this command")
         if text == "start":
-            raise self.restarted()
+            raise self.restart_error()
         return text
 
     def ends(self, said: str, text: str) -> bool:

@@ -228,7 +228,7 @@ class OpencvCamera:
     def _first_settings(self) -> Settings:
         """The settings of a camera just opened; it is released where they are refused."""
         try:
-            settings = self._reader.started()
+            settings = self._reader.settings_read_back()
             ignored = "; ".join(str(each) for each in settings.settings if not each.obeyed)
             if ignored and self._options.strict_settings:
                 raise DeviceError(

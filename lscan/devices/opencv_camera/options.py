@@ -382,7 +382,7 @@ NEEDED = (
 )
 
 
-def unopened(url: str | None) -> str:
+def reason_unopened(url: str | None) -> str:
     """Why a stream could not be opened, in words, and what to do; asks an http address for it.
 
     url: None for a device or a file.

@@ -19,7 +19,7 @@ from lscan.devices.opencv_camera.options import (
     Settings,
     apply_settings,
     fourcc_text,
-    unopened,
+    reason_unopened,
 )
 from lscan.errors import DeviceError
 from lscan.records import Bytes
@@ -171,7 +171,7 @@ class Reader:
         self._thread = threading.Thread(target=self._run, name=options.name, daemon=True)
         self._thread.start()
 
-    def started(self) -> Settings:
+    def settings_read_back(self) -> Settings:
         """The settings as read back, once the first picture has come.  Raises DeviceError."""
         deadline_s = time.monotonic() + self._options.timeout_s
         late = f"gave no first picture within {self._options.timeout_s:g} s"
@@ -258,7 +258,7 @@ class Reader:
         try:
             capture = self._open_capture(self._options)
             if not capture.isOpened():
-                raise DeviceLost(f"{self._options.name}: {unopened(self._options.url)}")
+                raise DeviceLost(f"{self._options.name}: {reason_unopened(self._options.url)}")
             # Such a stream, MPEG-4 or H.264, sends the same picture where nothing changes.
             self._codes_changes = bool(self._options.url) and not isinstance(capture, JpegStream)
             settings = apply_settings(capture, self._section, self._options)

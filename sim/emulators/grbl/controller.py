@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sim.emulators.grbl import protocol
-from sim.emulators.grbl.machine import NO_FAULTS, EmulatedController, Faults, garbled
+from sim.emulators.grbl.machine import NO_FAULTS, EmulatedController, Faults, with_garbled_bytes
 
 HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 PLANNED = 15  # blocks the planner holds
@@ -86,7 +86,7 @@ class GrblEmulator(EmulatedController):
         faults = self._acting
         if faults.unplug:
             raise OSError("the device is gone")
-        return garbled(data, faults.garble, self._generator)
+        return with_garbled_bytes(data, faults.garble, self._generator)
 
     def transmit(self) -> bytes:
         """The bytes to send by now; OSError while the line is unplugged."""

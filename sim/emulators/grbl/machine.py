@@ -174,7 +174,7 @@ class Faults:
 NO_FAULTS = Faults()
 
 
-def garbled(data: bytes, chance: float, generator: np.random.Generator) -> bytes:
+def with_garbled_bytes(data: bytes, chance: float, generator: np.random.Generator) -> bytes:
     """The bytes, each replaced with this chance by another value."""
     if chance <= 0 or not data:
         return data

@@ -198,9 +198,9 @@ class GatheredLight:
         line = self._line_in_view(head)
         lines = [_splat(grid, self._chart, *line) for grid in self._grids]
         glow, tilt, cells = self._surfaces(head, direct, seen, lines)
-        return self._picture_layers(direct, glow, tilt, cells, seen, self._left(position_mm))
+        return self._picture_layers(direct, glow, tilt, cells, seen, self._shares_left(position_mm))
 
-    def _left(self, position_mm: float) -> list[Picture]:
+    def _shares_left(self, position_mm: float) -> list[Picture]:
         """What surfaces leave of the halo and of each sheet's veil, between known places."""
         number, part = divmod(position_mm / LEFT_APART_MM, 1)
         before, behind = (self._left_at(number + step) for step in (0, 1))

@@ -601,7 +601,7 @@ class Reflections:
         dr.eval(received_once, seen, shares, inside, glows)
         once = np.array(received_once)
         seen_there = [dr.gather(mi.Float, share, bounces.owner) for share in shares]
-        scattered = self._scattered(point, normal, seen_there)
+        scattered = self._scattered_onto(point, normal, seen_there)
         values = [bounces.about(once), bounces.of(once + np.array(scattered))]
         for part, share, is_lit, glow in zip(seen, shares, inside, glows, strict=True):
             here = np.array(is_lit)
@@ -615,7 +615,7 @@ class Reflections:
             light, shares = self.irradiance(lit, si)
             normal, sends = facing(si), reflectance(si) * loss
             dr.eval(light, shares, normal, sends, si.p)  # apart from the glow, as in a picture
-            return (light + self._scattered(si.p, normal, shares)) * sends
+            return (light + self._scattered_onto(si.p, normal, shares)) * sends
 
         beside = [
             beside_line(self._scene, sheet, line, field, sent)
@@ -623,7 +623,7 @@ class Reflections:
         ]
         return replace(lit, beside=tuple(beside))
 
-    def _scattered(
+    def _scattered_onto(
         self, point: mi.Point3f, normal: mi.Vector3f, shares: Sequence[mi.Float]
     ) -> mi.Float:
         """mW/mm2 that the water scatters onto surfaces, but for what counts as of the lines.

@@ -300,7 +300,7 @@ ITERATIONS, FARTHEST, CLOSE = 30, 2.0, 1e-3  # of Newton's method, and its steps
 FEWEST = 1e-6  # counts
 
 
-def smoothed(light: Floats, squared: Floats, lit: Mask) -> Floats:
+def smooth_field(light: Floats, squared: Floats, lit: Mask) -> Floats:
     """The field in the cells; same shape as ``light``.
 
     Parameters
@@ -563,7 +563,7 @@ def _kept_table(
         lit = _within_fan(sheet, view)
         above = np.zeros((len(EDGES), ROWS, COLUMNS))
         for kind in zip(counts.light, counts.squared, strict=True):
-            layers = [smoothed(*cells, lit) for cells in zip(*kind, strict=True)]
+            layers = [smooth_field(*cells, lit) for cells in zip(*kind, strict=True)]
             above[1:] += np.cumsum(layers, axis=0)
         return {"above": above, "paths": counts.paths}
 

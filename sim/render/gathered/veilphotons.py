@@ -245,7 +245,7 @@ def veil_counts(
         dr.sync_thread()
         progress(number + 1, batches)
     light, squared = np.array(tracer.sums).reshape(2, 2, len(DEPTHS) + 1, ROWS, COLUMNS)
-    return VeilCounts(light / batches, squared / batches**2, tracer.kept())
+    return VeilCounts(light / batches, squared / batches**2, tracer.kept_paths())
 
 
 class _Tracer:
@@ -281,7 +281,7 @@ class _Tracer:
         self.share = opaque(float(paths / light) if light > 0 else 0.0)
         self.sums = dr.zeros(mi.Float64, 4 * self.cells)
 
-    def kept(self) -> Floats:
+    def kept_paths(self) -> Floats:
         """The paths that were kept."""
         each = [
             np.array(paths).reshape(ROOM, -1)[: int(used[0])]

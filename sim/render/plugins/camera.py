@@ -327,7 +327,7 @@ class RefractiveCamera(mi.Sensor):
         if not self.lens_is_open:
             return mi.Point3f(0.0), dr.normalize(through_middle)
         sample = mi.Point2f(
-            self._shifted(aperture_sample.x, place, 0), self._shifted(aperture_sample.y, place, 1)
+            self._shift(aperture_sample.x, place, 0), self._shift(aperture_sample.y, place, 1)
         )
         disc = mi.warp.square_to_uniform_disk_concentric(sample) * self.pupil_radius
         start = mi.Point3f(disc.x, disc.y, 0.0)
@@ -340,11 +340,11 @@ class RefractiveCamera(mi.Sensor):
         """
         rows_read = dr.floor(place.y) / self.film().size().y
         rows_late = mi.Float(mi.UInt32(place.y) % self.fineness) / self.film().size().y
-        shutter = self._shifted(shutter_sample, place, 2)
+        shutter = self._shift(shutter_sample, place, 2)
         moment = (rows_read - 0.5) * self.readout + (shutter - 0.5) * self.exposure
         return moment - rows_late * self.readout
 
-    def _shifted(self, sample: mi.Float, place: mi.Point2f, dimension: int) -> mi.Float:
+    def _shift(self, sample: mi.Float, place: mi.Point2f, dimension: int) -> mi.Float:
         """The sample in [0, 1) moved round by an amount that each pixel has of its own.
 
         A stratified sampler without jitter draws the same few values in every pixel: pupil

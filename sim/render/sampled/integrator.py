@@ -220,7 +220,7 @@ class SheetIntegrator(WaterIntegrator):
         straight, indirect = self._sky_light(leg, lit)
         t = dr.select(si.is_valid(), si.t, dr.largest(mi.Float))
         transmittance = dr.exp(-self.extinction * t)
-        arrived = straight * self._unshaded(si.p) * self._level(si.p) + indirect
+        arrived = straight * self._unshaded_share(si.p) * self._level(si.p) + indirect
         surface = dr.select(lit, arrived * transmittance, 0.0)
         albedo = dr.select(self.extinction > 0, self.scattering / self.extinction, 0.0)
         veil = albedo * (1 - transmittance)
@@ -254,7 +254,7 @@ class SheetIntegrator(WaterIntegrator):
         blocked = leg.scene.ray_test(si.spawn_ray(si.to_world(bs.wo)), lit)
         return dr.select(blocked, 0.0, weight.x), mi.Float(0)
 
-    def _unshaded(self, point: mi.Point3f) -> mi.Float:
+    def _unshaded_share(self, point: mi.Point3f) -> mi.Float:
         """Share of the ambient light that reaches a point of a surface."""
         if (shade := self.penumbra) is None:
             return mi.Float(1)

@@ -26,7 +26,7 @@ from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance
 from sim.studies.design.rig import LONGEST_MS
 from sim.studies.problem import ALL, SETS, columns, make_design
 from sim.studies.rig.evaluation import GeometricRig
-from sim.studies.rig.prepared import Prepared, line_bounds_px, lines_at, on_board, stated
+from sim.studies.rig.prepared import Prepared, line_bounds_px, lines_at, on_board, stated_reading
 from sim.studies.rig.states import places_of, require_one_line
 from sim.studies.studyfile import Looked, Study, study_of
 from sim.truth import board_truth
@@ -159,7 +159,7 @@ class PredictedError:
         ----------
         document : Document, of the scan with the design's parts
         """
-        parts = _changed(document, self.scan)
+        parts = _changed_keys(document, self.scan)
         parts = {key: value for key, value in parts.items() if key not in OF_THE_SCAN}
         parts.get("camera", {}).pop("exposure_ms", None)
         base = self._scene(self.calibrate)
@@ -180,7 +180,7 @@ class PredictedError:
         study : Study, of a design
         rows : (N, D) array
         """
-        rig = GeometricRig(study, predicted(study, self.above))
+        rig = GeometricRig(study, predicted_pictures(study, self.above))
         return height_squares(rig, np.stack([rig.evaluate(row) for row in rows]))
 
     def _scene(self, document: Document) -> Scene:
@@ -209,7 +209,7 @@ def design_rows(study: Study) -> Floats:
     return design.blocks[ALL]
 
 
-def predicted(study: Study, above: AboveBounds = AT_BOUNDS) -> Prepared:
+def predicted_pictures(study: Study, above: AboveBounds = AT_BOUNDS) -> Prepared:
     """What pictures of a rig would show: marks and line without bias, scattered above bounds.
 
     Parameters
@@ -226,7 +226,7 @@ def predicted(study: Study, above: AboveBounds = AT_BOUNDS) -> Prepared:
     require_rim(study.calibrate)
     truth = board_truth(study.calibrate).centres
     sigma = above.marks * marks_sigma_px(study.calibrate)
-    reading = stated(truth, sigma, joined_marks(truth).status)
+    reading = stated_reading(truth, sigma, joined_marks(truth).status)
     places = places_of(study.scan, study.file.places.pictures, study.file.places.columns)
     bounds = line_bounds_px(study.scan, places, lines_at(study.scan, places))
     known = np.isfinite(bounds).all(axis=0) & on_board(study, reading, places)
@@ -299,13 +299,13 @@ def _light(scene: Scene) -> float:
     return photons * sensor.gain / sensor.full_well_e
 
 
-def _changed(document: Mapping[str, Any], base: Mapping[str, Any]) -> Document:
+def _changed_keys(document: Mapping[str, Any], base: Mapping[str, Any]) -> Document:
     """The keys of a document that are not as in the base, table by table."""
     found: Document = {}
     for key, value in document.items():
         own = base.get(key)
         if isinstance(value, Mapping) and isinstance(own, Mapping):
-            if inner := _changed(value, own):
+            if inner := _changed_keys(value, own):
                 found[key] = inner
         elif value != own:
             found[key] = value

@@ -173,10 +173,10 @@ def document_of(design: RigDesign, base: Document) -> Document:
     for key, value in design.numbers.items():
         if "." in key:
             document = merge(document, _at(key, value, document))
-    return merge(document, _known(document))
+    return merge(document, _stated_by_owner(document))
 
 
-def exposed(document: Document, source: str) -> Document:
+def with_exposure(document: Document, source: str) -> Document:
     """The document with an exposure that puts the line's brightest parts at PEAK_DN.
 
     Parameters
@@ -342,7 +342,7 @@ def _at(key: str, value: float, document: Document) -> Document:
     return {section: {name: value}}
 
 
-def _known(document: Document) -> Document:
+def _stated_by_owner(document: Document) -> Document:
     """What the rig's owner states of it, where the base states it: it is made to agree."""
     tank = _tank(document, "the design")
     lens, laser, sensor = tank.lens, tank.laser, tank.sensor

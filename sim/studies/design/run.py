@@ -94,10 +94,12 @@ def search_designs(running: StudyRunning, problem: DesignProblem) -> tuple[Desig
     found: dict[int, tuple[float | None, Bounded | None, str]] = {}
     for done, trial in enumerate(chosen, start=1):
         running.say(f"renders design {trial.number + 1}, {done} of {len(chosen)}: {RIGS} rigs")
-        found[trial.number] = _rendered(running, problem, trial)
+        found[trial.number] = _rendered_error(running, problem, trial)
     on_front = {trial.number for trial in best}
     return tuple(
-        told(problem, trial, trial.number in on_front, *found.get(trial.number, (None, None, "")))
+        trial_of(
+            problem, trial, trial.number in on_front, *found.get(trial.number, (None, None, ""))
+        )
         for trial in trials
     )
 
@@ -115,7 +117,7 @@ def _estimate(running: StudyRunning, problem: DesignProblem) -> str:
     )
 
 
-def told(
+def trial_of(
     problem: DesignProblem,
     trial: RigTrial,
     on_front: bool,
@@ -145,7 +147,7 @@ def told(
     return DesignTrial(objectives, trial.parameters, on_front, status, predicted_mm, rendered_mm)
 
 
-def _rendered(
+def _rendered_error(
     running: StudyRunning, problem: DesignProblem, trial: RigTrial
 ) -> tuple[float | None, Bounded | None, str]:
     """Predicted and rendered error of the same rigs, mm, and why there is none."""

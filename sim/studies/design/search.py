@@ -30,7 +30,7 @@ from sim.studies.design.catalogue import (
     laser_class,
     ordinal,
 )
-from sim.studies.design.rig import RigDesign, document_of, exposed, measured_mm
+from sim.studies.design.rig import RigDesign, document_of, measured_mm, with_exposure
 
 Parameters = dict[str, str | float]
 NOT_ASSESSED_MM = 1e6
@@ -119,10 +119,10 @@ class DesignProblem:
 
     def document(self, parameters: Parameters) -> Document:
         """The scene of a trial, as it is assessed, and as a winner is rendered."""
-        return self._lit(document_of(self.design(parameters), self.base))
+        return self._with_exposure(document_of(self.design(parameters), self.base))
 
-    def _lit(self, document: Document) -> Document:
-        return exposed(document, "the design") if self.section.expose else document
+    def _with_exposure(self, document: Document) -> Document:
+        return with_exposure(document, "the design") if self.section.expose else document
 
     def judge(self, parameters: Parameters) -> Judged:
         """Figures of a trial, None where it failed, and what is wrong with it.
@@ -141,7 +141,7 @@ class DesignProblem:
             safety = laser_class(scene.tank.laser)
             figures = DesignFigures(None, width_mm, depth_mm, design.cost_eur, safety)
             if not self.broken(figures):
-                error_mm = float(self.error_of(self._lit(document)))
+                error_mm = float(self.error_of(self._with_exposure(document)))
                 if not isfinite(error_mm):
                     return None, "its predicted error is not finite"
                 figures = DesignFigures(error_mm, width_mm, depth_mm, design.cost_eur, safety)

@@ -31,11 +31,11 @@ from sim.studies.rig.prepared import (
     Prepared,
     centres_in,
     depends_on_light,
-    exposed,
     line_bounds_px,
     lines_at,
-    located,
-    stated,
+    picture_of_layers,
+    places_mm,
+    stated_reading,
 )
 from sim.studies.rig.states import (
     PlacesInState,
@@ -255,7 +255,7 @@ class GeometricRig:
         sound = without_outliers(reading).reading
         plane_map = self._solver.bare(sound, self.study.calibrate.rig.optics)
         scan, places = self.study.scan, self.prepared.places
-        xz = located(map_for_rig(plane_map, scan.rig), pixels)
+        xz = places_mm(map_for_rig(plane_map, scan.rig), pixels)
         head = frame.apply(np.column_stack([xz[:, 0], np.zeros(len(xz)), xz[:, 1]]))
         found = np.flatnonzero(np.isfinite(xz).all(axis=1))
         measured = np.full(head.shape, np.nan)
@@ -334,7 +334,7 @@ class RenderedRig(GeometricRig):
     def _line(self, states: RigStates) -> tuple[Floats, Floats]:
         places = self._in_columns(states.scan)
         pixels, true_mm = self._true_line(states.scan, places)
-        found = self._found(states)
+        found = self._line_rows_px(states)
         along = 1 - self._across
         column = np.rint(pixels[:, along]).astype(int)
         number = np.searchsorted(np.unique(places.frame), places.frame)
@@ -351,7 +351,7 @@ class RenderedRig(GeometricRig):
         angle = places.angle + (np.rint(here) - here) * STEP_RAD / (beside - here)
         return replace(places, angle=angle)
 
-    def _found(self, states: RigStates) -> Floats:
+    def _line_rows_px(self, states: RigStates) -> Floats:
         """(F, N) px where the line is found in the pictures that have places."""
         scan, places = states.scan, self.prepared.places
         tank = Tank(scan)
@@ -362,14 +362,14 @@ class RenderedRig(GeometricRig):
             tank.take(moment.scene)
             layers = tank.render(moment.position_mm)
             at_work = (SENSOR in states.seeds, SPECKLE in states.seeds)
-            seed = _mixed(states.seeds, int(frame))
-            pictures.append(exposed(moment.scene, layers, *at_work, seed))
+            seed = _mix_seed(states.seeds, int(frame))
+            pictures.append(picture_of_layers(moment.scene, layers, *at_work, seed))
         return centres_in(scan, pictures)
 
     def _reading(self, board: Scene, seeds: Mapping[str, int], stream: int) -> BoardReading:
         layers = Tank(board).render(board.rig.plan.positions_mm()[0])
         noises = (SENSOR in seeds, SPECKLE in seeds)
-        picture = exposed(board, layers, *noises, _mixed(seeds, -stream))
+        picture = picture_of_layers(board, layers, *noises, _mix_seed(seeds, -stream))
         channel = board.rig.calibration.channel
         reading = read_board(picture, board.board(), channel=channel)
         if SENSOR in seeds:
@@ -377,10 +377,10 @@ class RenderedRig(GeometricRig):
         # Of a picture without noise a ruler's marks state a tenth of their uncertainty, the points
         # hardly less: a map that weighs them so is no map of this instrument.
         usual = joined_marks(self.prepared.reading)
-        return stated(reading, usual.sigma_px, usual.status)
+        return stated_reading(reading, usual.sigma_px, usual.status)
 
 
-def _mixed(seeds: Mapping[str, int], picture: int) -> int:
+def _mix_seed(seeds: Mapping[str, int], picture: int) -> int:
     """A seed of one picture's noise."""
     stream = [seeds.get(SENSOR, 0), seeds.get(SPECKLE, 0), abs(picture), int(picture < 0)]
     return int(np.random.SeedSequence(stream).generate_state(1)[0])

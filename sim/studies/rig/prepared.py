@@ -199,7 +199,7 @@ def on_board(study: Study, reading: BoardReading, places: ScanPlaces) -> Mask:
     plane_map = find_solver(calibration.plane_map).solve(reading, study.calibrate.rig.optics)
     head = into_head(study.scan.tank.head, places.world_mm, places.position_mm)
     pixels = project(study.scan, head)
-    about = [located(plane_map, pixels + REACH_PX * np.array(way)) for way in CORNERS]
+    about = [places_mm(plane_map, pixels + REACH_PX * np.array(way)) for way in CORNERS]
     return np.asarray(np.isfinite(np.stack(about)).all(axis=(0, 2)))
 
 
@@ -208,15 +208,19 @@ def _line(scene: Scene, tank: Tank, places: ScanPlaces) -> tuple[Floats, Floats,
     position_mm = float(places.position_mm[0])
     layers = tank.render(position_mm)
     truth = stripe_truths(scene, [position_mm])[0].centre_px
-    quiet = centres_in(scene, [exposed(scene, layers, False, False, 0)])[0] - truth
+    quiet = centres_in(scene, [picture_of_layers(scene, layers, False, False, 0)])[0] - truth
     seeds = range(1, EXPOSURES + 1)
-    plain = centres_in(scene, [exposed(scene, layers, True, False, seed) for seed in seeds])
-    whole = centres_in(scene, [exposed(scene, layers, True, True, seed) for seed in seeds])
+    plain = centres_in(
+        scene, [picture_of_layers(scene, layers, True, False, seed) for seed in seeds]
+    )
+    whole = centres_in(
+        scene, [picture_of_layers(scene, layers, True, True, seed) for seed in seeds]
+    )
     sensor, both = (_scatter(centres, places) for centres in (plain, whole))
     return quiet[places.entry], sensor, np.sqrt(np.maximum(both**2 - sensor**2, 0.0))
 
 
-def exposed(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int) -> Bytes:
+def picture_of_layers(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int) -> Bytes:
     """The picture of layers, with and without noise and speckle.
 
     Parameters
@@ -266,7 +270,7 @@ def _board(scene: Scene) -> tuple[BoardReading, Floats, Floats]:
     tank = Tank(scene)
     layers = tank.render(scene.rig.plan.positions_mm()[0])
     board, channel = scene.board(), scene.rig.calibration.channel
-    pictures = [exposed(scene, layers, noise, noise, 1) for noise in (False, True)]
+    pictures = [picture_of_layers(scene, layers, noise, noise, 1) for noise in (False, True)]
     quiet, usual = (
         joined_marks(read_board(picture, board, channel=channel)) for picture in pictures
     )
@@ -278,10 +282,10 @@ def _board(scene: Scene) -> tuple[BoardReading, Floats, Floats]:
 def _reading(scene: Scene, sigma: Floats, status: Ints) -> BoardReading:
     """The marks where they truly are, with the statuses and uncertainties of a reading."""
     truth = board_truth(scene, scene.rig.plan.positions_mm()[0]).centres
-    return stated(truth, sigma, status)
+    return stated_reading(truth, sigma, status)
 
 
-def stated(reading: BoardReading, sigma: Floats, status: Ints) -> BoardReading:
+def stated_reading(reading: BoardReading, sigma: Floats, status: Ints) -> BoardReading:
     """A reading of points and rulers alone, with other uncertainties of its marks.
 
     Parameters
@@ -301,7 +305,7 @@ def stated(reading: BoardReading, sigma: Floats, status: Ints) -> BoardReading:
     return replace(with_marks(reading, known), dots={}, rings={})
 
 
-def located(plane_map: PlaneMap, pixels: Floats) -> Floats:
+def places_mm(plane_map: PlaneMap, pixels: Floats) -> Floats:
     """(N, 2) mm of pixels, without their uncertainties where the map can do without.
 
     Parameters

@@ -66,7 +66,7 @@ def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigState
     InputError
         A number is out of the range of its key, or no number has that key.
     """
-    shares = correlated(row, root)
+    shares = correlate(row, root)
     before: dict[str, float] = {}
     since: dict[str, float] = {}
     changes: list[Change] = []
@@ -87,8 +87,10 @@ def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigState
         since |= numbers
         if cause.when == "as-built":
             before |= numbers
-    board, anew = (_applied(study.calibrate, state, CALIBRATE, where) for state in (before, since))
-    scan = _applied(study.scan, since, SCAN, where)
+    board, anew = (
+        _apply_numbers(study.calibrate, state, CALIBRATE, where) for state in (before, since)
+    )
+    scan = _apply_numbers(study.scan, since, SCAN, where)
     motion, motion_anew = (sheet_motion(study.calibrate, one) for one in (board, anew))
     ought = board_in_sheet(study.calibrate)
     return RigStates(
@@ -185,7 +187,7 @@ def replace_where(error: InputError, where: str) -> InputError:
     return InputError(error.what, where=where, value=error.value, allowed=error.allowed)
 
 
-def _applied(scene: Scene, numbers: dict[str, float], own: str, where: str) -> Scene:
+def _apply_numbers(scene: Scene, numbers: dict[str, float], own: str, where: str) -> Scene:
     """The scene with the numbers that are meant for it."""
     mine = {
         key.removeprefix(own): number
@@ -218,7 +220,7 @@ def _with_changes(scene: Scene, changes: list[Change]) -> Scene:
     return replace(scene, tank=scene.tank.model_copy(update={"change": (*own, *changes)}))
 
 
-def correlated(row: Floats, root: Floats | None) -> Floats:
+def correlate(row: Floats, root: Floats | None) -> Floats:
     """The row's numbers with the causes' correlations; the same where these are independent.
 
     Parameters
@@ -301,7 +303,7 @@ def places_of(scene: Scene, pictures: int, columns: int) -> ScanPlaces:
         )
         inside = (before.face == truth.face) & (behind.face == truth.face)
         found.append(_of_picture(scene, truth, inside, frame, columns))
-    places = joined(found)
+    places = joined_places(found)
     if len(places.frame) < FEWEST:
         raise MeasurementError(
             f"{scene.source}: the line is lit and seen in {len(places.frame)} of the places looked "
@@ -412,7 +414,7 @@ def _heights_above(parts: Sequence[PlacesInState]) -> Callable[[Floats], Floats]
     """``height_above`` of the places of all parts: in one go where they scan the same thing."""
     first = parts[0].scene
     if all(_same_target(part.scene, first) for part in parts[1:]):
-        together = joined([part.places for part in parts])
+        together = joined_places([part.places for part in parts])
         return lambda points: height_above(first, together, points)
     ends = np.cumsum([len(part.position_mm) for part in parts])[:-1]
     return lambda points: np.concatenate(
@@ -428,7 +430,7 @@ def _same_target(one: Scene, other: Scene) -> bool:
     return scanned[0] == scanned[1]
 
 
-def joined(several: Sequence[ScanPlaces]) -> ScanPlaces:
+def joined_places(several: Sequence[ScanPlaces]) -> ScanPlaces:
     """Several places as one.
 
     Parameters
@@ -476,7 +478,7 @@ def _of_picture(
     sheet = sheet_of(scene)
     head = np.column_stack([truth.xz_mm[chosen, 0], truth.y_mm[chosen], truth.xz_mm[chosen, 1]])
     world = head_pose(scene.tank.head, truth.position_mm).apply(head)
-    flat = sheet.flattened(head)
+    flat = sheet.flatten(head)
     kind, normal = _faces(scene, truth.face[chosen], world)
     places = ScanPlaces(
         frame=np.full(len(chosen), frame),

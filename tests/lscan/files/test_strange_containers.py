@@ -28,7 +28,7 @@ from strange import moved_elsewhere, refusal
 
 from lscan.files import datasets
 from lscan.files.datasets import MEMBERS, PictureDataset
-from lscan.files.pictures import encoded
+from lscan.files.pictures import encode_picture
 from lscan.records import Provenance, Status, Surface
 from lscan.suites import open_suite, pack_suite, verify_suite
 from lscan.suites.content import MANIFEST, manifest_bytes, member_sum
@@ -54,7 +54,12 @@ def members() -> dict[str, bytes]:
     picture = np.full((3, 4, 3), 9, np.uint8)
     truth = io.BytesIO()
     np.savez(truth, depth_mm=np.ones((3, 4), np.float32))
-    found = encoded(picture, ".png"), encoded(picture[..., 0], ".png"), truth.getvalue(), b"{}"
+    found = (
+        encode_picture(picture, ".png"),
+        encode_picture(picture[..., 0], ".png"),
+        truth.getvalue(),
+        b"{}",
+    )
     return dict(zip(MEMBERS, found, strict=True))
 
 
@@ -336,11 +341,15 @@ LINE = {"status": np.array([[0, 7, 0, 0]]), "centre_px": np.array([[1.0, np.nan,
 MEMBER_HARMS: list[tuple[str, bytes, str]] = [
     ("picture.png", grey_png(60_000, 60_000, zlib.compress(b"")), "or too large"),
     ("picture.png", b"GIF89a", "is not an 8-bit grey or RGB picture"),
-    ("picture.png", encoded(np.zeros((3, 4), np.uint8), ".jpg"), "is not an 8-bit"),
+    ("picture.png", encode_picture(np.zeros((3, 4), np.uint8), ".jpg"), "is not an 8-bit"),
     ("labels.png", grey_png(30_000, 30_000, zlib.compress(b"")), "or too large"),
     ("labels.png", b"", "is not an 8-bit grey or RGB picture"),
-    ("labels.png", encoded(np.zeros((4, 3), np.uint8), ".png"), "another shape (got (4, 3); allow"),
-    ("labels.png", encoded(np.zeros((3, 4, 3), np.uint8), ".png"), "allowed: grey, (3, 4))"),
+    (
+        "labels.png",
+        encode_picture(np.zeros((4, 3), np.uint8), ".png"),
+        "another shape (got (4, 3); allow",
+    ),
+    ("labels.png", encode_picture(np.zeros((3, 4, 3), np.uint8), ".png"), "allowed: grey, (3, 4))"),
     ("truth.npz", npz(data=npy((2**38,))), "cannot be read as arrays"),
     ("truth.npz", npz(data=npy((2, -3), data=bytes(24))), "cannot be read as arrays"),
     ("truth.npz", npz(data=npy((1,), "|O", bytes(8))), "cannot be read as arrays"),

@@ -19,7 +19,7 @@ from lscan.live.analysis import (
     jpeg_of,
     measure_line,
     measure_picture,
-    packed,
+    picture_answer,
     sharpness,
     slope_of,
 )
@@ -205,7 +205,7 @@ def test_a_frame_is_length_json_and_jpeg():
     import cv2
 
     image = np.dstack([picture(), picture() // 2, picture() // 4])
-    data = packed({"a": 1, "ä": None}, jpeg_of(image))
+    data = picture_answer({"a": 1, "ä": None}, jpeg_of(image))
     (length,) = struct.unpack(">I", data[:4])
     assert data[4 : 4 + length].decode() == '{"a":1,"\\u00e4":null}'
     shown = cv2.imdecode(np.frombuffer(data[4 + length :], np.uint8), cv2.IMREAD_COLOR)

@@ -17,7 +17,7 @@ from lscan.calibration.maps.graticule import DrawnConversion
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
 from lscan.figures import style
-from lscan.figures.page import signed
+from lscan.figures.page import signed_number
 from lscan.figures.style import cell_for, grid_heights
 from lscan.measure import SliceErrors
 from lscan.paper import published as paper
@@ -351,6 +351,6 @@ def test_surface_to_turn_is_plain_json_without_nan():
 @given(st.floats(-1e3, 1e3))
 @examples(50)
 def test_signed_reads_back(value):
-    text = signed(value, 3)
+    text = signed_number(value, 3)
     assert text[0] in "+−"
     assert abs(float(text.replace("−", "-")) - value) <= 0.0005 + 1e-9

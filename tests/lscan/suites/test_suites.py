@@ -18,7 +18,7 @@ from plugin_packages import install_package
 
 import lscan.suites.files
 from lscan.errors import InputError
-from lscan.files.pictures import encoded
+from lscan.files.pictures import encode_picture
 from lscan.suites import LightLayers, open_suite, pack_suite, suites_found, verify_suite
 from lscan.suites.content import (
     LEAST_DN,
@@ -96,7 +96,7 @@ def test_layers_are_kept_to_a_rounding_of_their_logarithm(light):
 @pytest.mark.parametrize("shape", [(48, 160), (47, 160, 3), (48, 160, 4)])
 def test_layers_of_another_size_are_refused(folder, tmp_path, shape):
     copy = _harmed(
-        folder, tmp_path, "case-000/layers.png", encoded(np.zeros(shape, np.uint8), ".png")
+        folder, tmp_path, "case-000/layers.png", encode_picture(np.zeros(shape, np.uint8), ".png")
     )
     assert "case-000 differ in size" in _refused(copy)
 

@@ -12,7 +12,7 @@ from truth_scenes import tank as scene_with
 
 from lscan.records import Floats
 from sim.render.firstorder import HEAD, HeadRays, head_rays
-from sim.render.gathered.veil import STEP, HigherVeil, field_of_view, smoothed
+from sim.render.gathered.veil import STEP, HigherVeil, field_of_view, smooth_field
 from sim.render.gathered.veilphotons import BATCH, COLUMNS, KEPT, ROWS, veil_counts
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.sheet import LaserSheet
@@ -114,7 +114,7 @@ def test_smoothing_keeps_the_sum_and_an_edge() -> None:
     lit = across < 12 + down // 4
     field = 50.0 * np.exp(-down / 20 - across / 40) * np.where(lit, 1.0, 0.1)
     counts = np.random.default_rng(4).poisson(field).astype(float)
-    found = smoothed(counts, counts, lit)
+    found = smooth_field(counts, counts, lit)
     assert found.sum() == pytest.approx(counts.sum(), rel=1e-3)
     deviation = np.sqrt(np.mean((found - field)[lit] ** 2 / field[lit]))
     assert deviation < 0.5

@@ -57,7 +57,7 @@ def test_a_print_s_scale_and_shear(x: float, z: float, shear: float) -> None:
     """The middle stays; a row is as much longer; a column is as much longer, and leans."""
     true = TrueBoard(BOARD, BoardErrors(scale_x_ppm=x, scale_z_ppm=z, shear_deg=shear))
     places = MIDDLE + np.array([[0, 0], [100, 0], [0, 100]])
-    middle, right, up = true.printed(places, np.zeros(2))
+    middle, right, up = true.printed_places(places, np.zeros(2))
     np.testing.assert_allclose(middle, MIDDLE, atol=1e-12)
     np.testing.assert_allclose(right - middle, [100 * (1 + 1e-6 * x), 0], atol=1e-12)
     leans = np.array([np.sin(np.radians(shear)), np.cos(np.radians(shear))])

@@ -18,7 +18,7 @@ from sim.studies.design.error import (
     PredictedError,
     above_bounds,
     marks_sigma_px,
-    predicted,
+    predicted_pictures,
 )
 from sim.studies.design.run import DESIGNS
 from sim.studies.results import load_results
@@ -71,7 +71,7 @@ def problem_error(file: Path) -> PredictedError:
 def found(file: Path) -> Iterator[tuple[Path, StudyResults, list[str]]]:
     """What a study found, and said, whose pictures show what is predicted of them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running_module, "prepare", predicted)
+        patch.setattr(running_module, "prepare", predicted_pictures)
         patch.setattr(running_module, "RenderedRig", GeometricRig)
         folder = file.parent / "out"
         said: list[str] = []
@@ -170,6 +170,6 @@ def test_what_is_predicted_above_bounds_is_found_so(problem_error: PredictedErro
     """The two are each other's inverse: no scatter is drawn, so to rounding."""
     study = problem_error.of_design(problem_error.scan)
     stated = AboveBounds(sensor=2.5, both=1.25, marks=1.5)
-    found = above_bounds(study, predicted(study, stated))
+    found = above_bounds(study, predicted_pictures(study, stated))
     for name, value in vars(stated).items():
         assert getattr(found, name) == pytest.approx(value, rel=1e-9), name

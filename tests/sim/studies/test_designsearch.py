@@ -17,7 +17,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import Head
 from sim.studies.design.catalogue import Catalogue, DesignSection, load_catalogue
-from sim.studies.design.rig import aim_mm, document_of, exposed
+from sim.studies.design.rig import aim_mm, document_of, with_exposure
 from sim.studies.design.search import (
     DesignProblem,
     Judged,
@@ -232,11 +232,13 @@ def test_the_exposure_follows_the_line(problem: DesignProblem, trials: list[RigT
     assert aim_mm(check(Head, document["head"], where="a test"))[2] == pytest.approx(-330.0)
     brighter = {**document, "laser": {**document["laser"]}}
     brighter["laser"]["power_mw"] *= 2
-    once, twice = (exposed(one, "a test")["camera"]["exposure_ms"] for one in (document, brighter))
+    once, twice = (
+        with_exposure(one, "a test")["camera"]["exposure_ms"] for one in (document, brighter)
+    )
     assert twice == pytest.approx(once / 2)
     dark = {**document, "laser": {**document["laser"], "on": False}}
     with pytest.raises(InputError, match="no line is lit and seen"):
-        exposed(dark, "a test")
+        with_exposure(dark, "a test")
 
 
 POINTS = arrays.arrays(

@@ -10,7 +10,7 @@ from SALib.analyze import sobol
 
 from lscan.records import Floats
 from sim.studies.indices import Bounded, Indices, interval, moments, next_base, sobol_indices
-from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed
+from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed_block
 from tests.validation.studies.coverage import ClosedForm, ishigami, sobol_g
 
 BASE = 512
@@ -77,7 +77,7 @@ def test_indices_are_those_of_the_closed_form(problem: ClosedForm) -> None:
 def test_indices_agree_with_those_of_salib(design: Design, values: Floats) -> None:
     """Another estimator on the same runs: both are off by no more than their intervals."""
     blocks = design.split(values[:, 0])
-    order = [blocks[ALL], *(blocks[mixed(cause)] for cause in design.groups), blocks[AGAIN]]
+    order = [blocks[ALL], *(blocks[mixed_block(cause)] for cause in design.groups), blocks[AGAIN]]
     problem = {"num_vars": 3, "names": list(design.groups), "bounds": [[0, 1]] * 3}
     other = sobol.analyze(problem, np.stack(order, axis=1).ravel(), calc_second_order=False, seed=1)
     for k, group in enumerate(of(design, values).groups.values()):
@@ -166,10 +166,10 @@ def test_failed_runs_are_left_out_where_they_count(design: Design, values: Float
     whole, found = of(design, values), of(design, broken)
     blocks = design.split(broken[:, 0])
     assert found.failed == sum(
-        int(np.isnan(blocks[name]).sum()) for name in (ALL, AGAIN, *map(mixed, design.groups))
+        int(np.isnan(blocks[name]).sum()) for name in (ALL, AGAIN, *map(mixed_block, design.groups))
     )
     for cause, group in found.groups.items():
-        three = np.stack([blocks[ALL], blocks[AGAIN], blocks[mixed(cause)]])
+        three = np.stack([blocks[ALL], blocks[AGAIN], blocks[mixed_block(cause)]])
         assert group.used == np.isfinite(three).all(axis=0).sum() < BASE
         for kind in ("first", "total"):
             before = getattr(whole.groups[cause], kind)

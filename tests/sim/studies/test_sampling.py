@@ -6,7 +6,7 @@ from drawn_examples import examples
 from hypothesis import given, strategies as st
 
 from lscan.errors import InputError
-from sim.studies.problem import AGAIN, ALL, BASE, SETS, Design, alone, make_design, mixed
+from sim.studies.problem import AGAIN, ALL, BASE, SETS, Design, alone, make_design, mixed_block
 
 CAUSES = ("shift", "tilt", "salt", "shake")
 GROUPS = {"sheet": ("shift", "tilt"), "salt": ("salt",)}  # nobody asks for the shake
@@ -47,7 +47,10 @@ def test_each_block_has_its_causes_at_work() -> None:
     expected = {
         alone("sheet"): [True, True, False, False],
         alone("salt"): [False, False, True, False],
-        **{name: [True] * 3 + [False] for name in (ALL, AGAIN, mixed("sheet"), mixed("salt"))},
+        **{
+            name: [True] * 3 + [False]
+            for name in (ALL, AGAIN, mixed_block("sheet"), mixed_block("salt"))
+        },
     }
     for name, mask in expected.items():
         assert (at_work[name] == mask).all()
@@ -56,10 +59,10 @@ def test_each_block_has_its_causes_at_work() -> None:
 def test_a_mixed_block_takes_one_group_from_the_second_draw() -> None:
     blocks = drawn(32, 16).blocks
     first, again = blocks[ALL], blocks[AGAIN]
-    np.testing.assert_array_equal(blocks[mixed("sheet")][:, :2], again[:, :2])
-    np.testing.assert_array_equal(blocks[mixed("sheet")][:, 2:], first[:, 2:])
-    np.testing.assert_array_equal(blocks[mixed("salt")][:, 2], again[:, 2])
-    np.testing.assert_array_equal(blocks[mixed("salt")][:, :2], first[:, :2])
+    np.testing.assert_array_equal(blocks[mixed_block("sheet")][:, :2], again[:, :2])
+    np.testing.assert_array_equal(blocks[mixed_block("sheet")][:, 2:], first[:, 2:])
+    np.testing.assert_array_equal(blocks[mixed_block("salt")][:, 2], again[:, 2])
+    np.testing.assert_array_equal(blocks[mixed_block("salt")][:, :2], first[:, :2])
     assert (first[:, :3] != again[:, :3]).all()
 
 

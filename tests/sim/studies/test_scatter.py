@@ -15,9 +15,9 @@ from sim.studies.rig.prepared import (
     centre_variance_px2,
     centres_in,
     depends_on_light,
-    exposed,
     line_bounds_px,
     lines_at,
+    picture_of_layers,
 )
 from sim.studies.rig.states import states_of
 
@@ -93,7 +93,7 @@ def test_pictures_of_less_light_scatter_as_is_said() -> None:
     near = [slice(entry - 7, entry + 8) for entry in part.entry]
     above = []
     for scene in (scan, with_share(scan, "camera.exposure_ms", 0.25)):
-        pictures = [exposed(scene, layers, True, True, seed) for seed in range(EXPOSURES)]
+        pictures = [picture_of_layers(scene, layers, True, True, seed) for seed in range(EXPOSURES)]
         centres = centres_in(scene, pictures)
         seen = np.isfinite(centres).all(axis=0)
         variance = np.where(seen, centres.var(axis=0, ddof=1), np.nan)

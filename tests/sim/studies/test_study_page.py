@@ -13,7 +13,7 @@ from study_examples import GROUPS, REASONS, strange_results, study_results
 
 from sim.studies.budget import CauseBudget, OutputBudget, StudyResults
 from sim.studies.indices import Bounded
-from sim.studies.page import figure, front_plot, headline, kept, render_page, share
+from sim.studies.page import figure, front_plot, headline, render_page, share, tolerance_sentence
 from tests.validation.browser import wait_for
 
 WITHOUT_END = {"meta", "link", "br", "img", "input"}
@@ -60,8 +60,10 @@ def test_the_page_holds_every_cause_and_figure() -> None:
     for reason in REASONS:
         assert reason in page.cells
     assert results.tolerances
-    assert "weighted by cost, it is 0.099\u00a0mm: of 500 rigs" in kept(results.tolerances)
-    assert kept(results.tolerances) in page.text
+    assert "weighted by cost, it is 0.099\u00a0mm: of 500 rigs" in tolerance_sentence(
+        results.tolerances
+    )
+    assert tolerance_sentence(results.tolerances) in page.text
     for tolerance in results.tolerances.causes:
         for cell in (tolerance.allowed or "as it is", figure(tolerance.factor)):
             assert cell in page.cells

@@ -24,7 +24,7 @@ from sim.studies.problem import (
     alone,
     columns,
     make_design,
-    mixed,
+    mixed_block,
 )
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig, RenderedRig
@@ -32,7 +32,7 @@ from sim.studies.rig.prepared import Prepared, prepare
 from sim.studies.running import StudyOptions
 from sim.studies.study import RENDERED_RUNS, run_study
 from sim.studies.studyfile import Study, study_of
-from sim.studies.tiers import large_causes, padded, paired, rendered_design, tier_rows
+from sim.studies.tiers import large_causes, pad_rows, paired_bounds, rendered_design, tier_rows
 from tests.validation.light.gallery import shrunk
 from tests.validation.studies.coverage import (
     SLOPES,
@@ -51,7 +51,7 @@ def both(
     """A design with its results in the cheap problem, and a part of them in the dear one."""
     design = make_design(cheap.causes, base, SETS, seed)
     part = rendered_design(design, dict.fromkeys(cheap.causes, 1.0), most)
-    return design, cheap.evaluate(design.rows), padded(design, part, dear.evaluate(part.rows))
+    return design, cheap.evaluate(design.rows), pad_rows(design, part, dear.evaluate(part.rows))
 
 
 def of(design: Design, values: Floats, rendered: Floats | None = None) -> Indices:
@@ -127,10 +127,10 @@ def test_what_is_rendered_is_the_beginning_of_each_block() -> None:
     part = rendered_design(design, {"a": 1.0, "b": 0.01, "c": 0.5}, 1 + 2 * 16 * 5 + 9)
     lengths = {name: len(rows) for name, rows in part.blocks.items()}
     assert lengths == {
-        BASE: 1, ALL: 32, AGAIN: 32, **{mixed(c): 32 for c in "abc"},
+        BASE: 1, ALL: 32, AGAIN: 32, **{mixed_block(c): 32 for c in "abc"},
         alone("a"): 4, alone("b"): 0, alone("c"): 4,
     }  # fmt: skip
-    values = padded(design, part, part.rows)
+    values = pad_rows(design, part, part.rows)
     told = np.array([n < lengths[name] for name, n in design.labels])
     np.testing.assert_array_equal(values[told], design.rows[told])
     assert np.isnan(values[~told]).all()
@@ -143,11 +143,11 @@ def test_a_cause_alone_is_compared_by_its_ratio() -> None:
     """In proportion in both tiers, four rigs tell it exactly; one tells nothing of an interval."""
     errors = np.random.default_rng(3).standard_normal((64, 1)) * np.ones((1, 7))
     few = np.where(np.arange(64)[:, None] < 4, 1.1 * errors, np.nan)
-    cheap, dear, off = paired(errors, few)
+    cheap, dear, off = paired_bounds(errors, few)
     assert cheap.low < 1 < cheap.high
     assert off.value == pytest.approx(0.1 * cheap.value) and off.half_width < 1e-12
     assert dear.half_width == pytest.approx(cheap.half_width)
-    assert np.isnan(paired(errors, np.where(few == few[0], few, np.nan))[2].half_width)
+    assert np.isnan(paired_bounds(errors, np.where(few == few[0], few, np.nan))[2].half_width)
 
 
 def test_rows_of_both_tiers_tell_base_all_and_each_large_cause() -> None:

@@ -16,7 +16,7 @@ from lscan.errors import InputError
 from lscan.records import Floats
 from sim.studies import running, tiers as module
 from sim.studies.budget import Tolerances
-from sim.studies.page import kept
+from sim.studies.page import tolerance_sentence
 from sim.studies.problem import Output
 from sim.studies.results import load_results
 from sim.studies.running import StudyOptions
@@ -123,7 +123,7 @@ def test_a_floor_beyond_the_bound_ends_the_search_at_once() -> None:
     assert "what cannot be made tighter alone makes" in found.note
     assert [cause.allowed for cause in found.causes] == [None, None]
     assert found.found is None
-    assert found.note in kept(found)
+    assert found.note in tolerance_sentence(found)
 
 
 def test_a_study_of_nothing_but_noise_has_no_tolerances() -> None:
@@ -288,7 +288,7 @@ def test_a_study_finds_its_tolerances_and_goes_on_with_them(
     assert found.tolerances.allowed_mm is not None
     assert CLOSE * 0.1 <= found.tolerances.allowed_mm <= 0.1
     assert len(list((tmp_path / "out" / "tolerances").iterdir())) <= STEPS + 2
-    assert kept(found.tolerances) in (tmp_path / "out" / "report.html").read_text()
+    assert tolerance_sentence(found.tolerances) in (tmp_path / "out" / "report.html").read_text()
     assert load_results(tmp_path / "out").tolerances == found.tolerances
 
     def evaluate(*_: object) -> None:

@@ -114,7 +114,7 @@ def test_the_bow_is_that_of_the_rays(laser, tilt, seed):
     sheet = sheet_of(scene)
     # 1e-9: a length of 1.5 m, and the square root's loss of digits near the limiting angle.
     assert np.abs(sheet.clearance_mm(head)).max() < 1e-9
-    assert np.abs(sheet.in_head(sheet.flattened(head)) - head).max() < 1e-9
+    assert np.abs(sheet.in_head(sheet.flatten(head)) - head).max() < 1e-9
 
 
 @FEW

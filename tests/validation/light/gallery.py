@@ -11,7 +11,7 @@ import numpy as np
 
 from lscan.config.documents import read_document
 from lscan.files.disk import list_names
-from lscan.files.pictures import encoded
+from lscan.files.pictures import encode_picture
 from lscan.records import Bytes
 from sim.render.layers import finer_lens
 from sim.render.tank import Tank
@@ -102,5 +102,5 @@ def _thumbnail(image: Bytes) -> str:
     height, width = image.shape[:2]
     size = (WIDTH_PX, round(height * WIDTH_PX / width))
     small: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    jpeg = encoded(small, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 85])
+    jpeg = encode_picture(small, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 85])
     return f"data:image/jpeg;base64,{base64.b64encode(jpeg).decode('ascii')}"

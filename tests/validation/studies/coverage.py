@@ -8,8 +8,8 @@ from scipy.special import ndtri
 
 from lscan.records import Floats, Mask
 from sim.studies.indices import Bounded, sobol_indices
-from sim.studies.problem import AGAIN, ALL, SETS, Output, make_design, mixed
-from sim.studies.tiers import beginnings, padded
+from sim.studies.problem import AGAIN, ALL, SETS, Output, make_design, mixed_block
+from sim.studies.tiers import beginnings, pad_rows
 from tests.validation.exposures import band_miss_percent
 from tests.validation.rows import Row, row
 
@@ -209,9 +209,9 @@ def coverage(
         design = make_design(problem.causes, base, 0, seed)
         values, dear = (cheap or problem).evaluate(design.rows), None
         if cheap is not None:
-            blocks = (ALL, AGAIN, *map(mixed, design.groups))
+            blocks = (ALL, AGAIN, *map(mixed_block, design.groups))
             part = beginnings(design, dict.fromkeys(blocks, SETS))
-            dear = padded(design, part, problem.evaluate(part.rows))
+            dear = pad_rows(design, part, problem.evaluate(part.rows))
         (found,) = sobol_indices(design, values, problem.outputs, dear).values()
         first.append([_holds(found.groups[c].first, problem.first[c]) for c in problem.causes])
         total.append([_holds(found.groups[c].total, problem.total[c]) for c in problem.causes])

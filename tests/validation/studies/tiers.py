@@ -8,7 +8,7 @@ from sim.studies.rig.prepared import Prepared, prepare
 from sim.studies.running import RigSource
 from sim.studies.store import evaluate_rows, identity_of
 from sim.studies.studyfile import Study, Tier, load_study
-from sim.studies.tiers import alone_squares, beginnings, large_causes, padded, paired
+from sim.studies.tiers import alone_squares, beginnings, large_causes, pad_rows, paired_bounds
 from tests.validation.rows import Row, row
 
 RIGS = 4  # of a cause alone, rendered: some 20 s each
@@ -30,11 +30,11 @@ def tier_rows(file: Path, rigs: int = RIGS, prepared: Prepared | None = None) ->
     geometric = _errors(study, "geometric", packed, design.rows)
     large = large_causes(alone_squares(design, geometric))
     part = beginnings(design, {BASE: 1} | {alone(group): rigs for group in large})
-    rendered = padded(design, part, _errors(study, "rendered", packed, part.rows))
+    rendered = pad_rows(design, part, _errors(study, "rendered", packed, part.rows))
     cheap, dear = design.split(geometric), design.split(rendered)
     rows, beyond = [], 0
     for group in large:
-        of_one, of_other, off = paired(cheap[alone(group)], dear[alone(group)])
+        of_one, of_other, off = paired_bounds(cheap[alone(group)], dear[alone(group)])
         beyond += not off.low <= 0 <= off.high
         words = {"geometric": of_one.value, "rendered": of_other.value, "rigs": rigs}
         words |= {"low": off.low, "high": off.high}

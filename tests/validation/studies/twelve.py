@@ -15,7 +15,7 @@ from lscan.errors import MeasurementError
 from lscan.records import Floats, select
 from sim.scene import Scene, load_scene, scene_of
 from sim.studies.executor import open_workers
-from sim.studies.rig.prepared import Prepared, on_board, stated
+from sim.studies.rig.prepared import Prepared, on_board, stated_reading
 from sim.studies.rig.states import ScanPlaces, places_of
 from sim.studies.running import RigSource, StudyOptions, run_rows
 from sim.studies.store import identity_of, open_store
@@ -88,7 +88,7 @@ def assumed(study: Study, places: ScanPlaces | None = None) -> Prepared:
     """
     truth = board_truth(study.calibrate).centres
     status = joined_marks(truth).status
-    reading = stated(truth, np.full(len(status), MARK_PX), status)
+    reading = stated_reading(truth, np.full(len(status), MARK_PX), status)
     places = places or places_of(study.scan, study.file.places.pictures, study.file.places.columns)
     places = select(places, on_board(study, reading, places))
     count, marks = len(places.frame), len(status)

@@ -16,7 +16,7 @@ from lscan.camera.posedboards import priors_of
 from lscan.records import Floats, Marks, Status
 from lscan.stripe import extract_stripe
 from sim.datasets.views import held_scenes
-from sim.devices import metered
+from sim.devices import metered_layers
 from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import Scene, camera_pose, load_scene
@@ -102,7 +102,7 @@ def sheet_rows(scenes: Path, effort: FieldEffort) -> list[Row]:
 
 def _held(scene: Scene) -> HeldBoard:
     webcam, camera = Webcam(scene), camera_pose(scene.tank.head)
-    lit, exposure_ms = metered(scene, Tank(scene), webcam, 0.0)
+    lit, exposure_ms = metered_layers(scene, Tank(scene), webcam, 0.0)
     nothing = np.zeros_like(lit.direct)
     lamps = replace(lit, direct=nothing, scattered=nothing)
     seen = board_truth(scene).centres.grid

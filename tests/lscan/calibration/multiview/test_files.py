@@ -33,7 +33,7 @@ from lscan.camera import CameraModel, project
 from lscan.cli.calibrate import calibrate_metric as command
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
-from lscan.files.pictures import encoded, read_picture, write_picture
+from lscan.files.pictures import encode_picture, read_picture, write_picture
 from lscan.records import BoardReading, Bytes, Floats, Marks
 
 CHESSBOARD = '[board]\nkind = "chessboard"\ncolumns = 8\nrows = 6\nsquare_mm = 25.0\n'
@@ -214,8 +214,8 @@ def pictures() -> dict[str, bytes]:
         centre = np.interp(np.arange(SIZE[0]), line[order, 0], line[order, 1])
         profile = np.exp(-((np.arange(SIZE[1])[:, None] - centre) ** 2) / (2 * 1.5**2))
         lit[:, :, 0] += 100 * profile * (np.ptp(line[:, 0]) > np.ptp(line[:, 1]))
-        found[f"p{number}.png"] = encoded(plain, ".png")
-        found[f"l{number}.png"] = encoded(np.clip(lit, 0, 255).astype(np.uint8), ".png")
+        found[f"p{number}.png"] = encode_picture(plain, ".png")
+        found[f"l{number}.png"] = encode_picture(np.clip(lit, 0, 255).astype(np.uint8), ".png")
         text += f'[[view]]\npicture = "p{number}.png"\nlaser = "l{number}.png"\n'
     return found | {"views.toml": text.encode()}
 

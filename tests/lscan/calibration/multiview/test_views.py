@@ -18,7 +18,7 @@ from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.metric.views import CalibrationView, load_views, read_views
 from lscan.camera import CameraModel, project
 from lscan.errors import BoardNotFound, InputError
-from lscan.files.pictures import encoded, write_picture
+from lscan.files.pictures import encode_picture, write_picture
 from lscan.records import Bytes, Floats
 
 COLUMNS, ROWS, SQUARE_MM, MARKER_MM = 5, 4, 40.0, 32.0
@@ -115,7 +115,7 @@ def files(kind: str, way: str) -> dict[str, bytes]:
     drawn: dict[str, bytes] = {}
 
     def add(name: str, seen: Bytes) -> str:
-        drawn[name] = encoded(seen, ".png")
+        drawn[name] = encode_picture(seen, ".png")
         return name
 
     text = (CHARUCO if kind == "charuco" else CHESSBOARD) + STRIPE
