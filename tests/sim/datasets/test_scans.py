@@ -148,6 +148,7 @@ def test_a_chain_that_is_none_is_refused(suite, chain_file, tmp_path):
         run_suite(str(suite), {"chain": [chain_file({"extractor": f'"{__name__}:broken"'})]})
 
 
+@pytest.mark.slow
 def test_the_command_judges_chains_and_notices_a_change(suite, chain_file, tmp_path, capsys):
     options = ["bench", "--suite", suite, "-o", tmp_path / "one", "--only"]
     code, out, _ = call(capsys, *options, "--chain", "paper/rig", "--json")

@@ -197,6 +197,14 @@ def test_a_garbled_cache_counts_as_empty_and_is_replaced(
     assert [entry.name for entry in cache.parent.iterdir()] == ["llvm.json"]
 
 
+def test_a_cache_that_cannot_be_written_is_done_without(crowd: list[Path], tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    probe = FakeProbe(19)
+    for _ in range(2):
+        assert backend.probe_remembered(Library(crowd[3], 19), probe).works
+    assert probe.asked == [19, 19]
+
+
 # ---- the verdict on a process -----------------------------------------------------------
 
 

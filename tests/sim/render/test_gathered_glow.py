@@ -152,3 +152,21 @@ def test_glow_moves_with_the_head() -> None:
     sheet.place(ELSEWHERE)
     there = irradiance(glow, sheet, places(0.5), NORMALS["oblique"])
     np.testing.assert_allclose(there, here, rtol=1e-3)
+
+
+def test_light_that_misses_many_surfaces_is_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of few photons none may fall on a facing surface: 11 of 31 are dark here.
+
+    (n . v)^2, v square to the way back, is a polynomial of the second degree: the fit is exact, to
+    rounding times the design's condition, 1e-16 * 1e6^2.
+    """
+    azimuth = np.pi / glows.AZIMUTHS
+    across = np.array([0.0, -np.sin(azimuth), np.cos(azimuth)])
+    received = np.maximum(1e-9 * (glows._normals() @ across) ** 2, 0.0)
+    received[received < 1e-24] = 0.0
+    assert received[0] == 0 and (received == 0).sum() == 11
+    monkeypatch.setattr(glows, "thin_sheet", lambda *_: received)
+    nought = np.zeros(())
+    terms = glows._fit_coefficients(None, None, nought, nought, nought)  # type: ignore[arg-type]
+    basis = np.stack(glows._basis(*glows._normals().T), axis=-1)
+    np.testing.assert_allclose(basis @ terms, received, atol=1e-3 * received.max())

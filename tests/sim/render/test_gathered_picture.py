@@ -7,6 +7,7 @@ import drjit as dr
 import numpy as np
 import pytest
 
+from sim.render.gathered.picture import EDGE_SAMPLES, _cut_pixels
 from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import LaserLine, Scene, load_scene
@@ -74,6 +75,34 @@ def test_no_kernel_is_compiled_anew_from_picture_to_picture(groove: Tank, pictur
         groove.render(POSITION_MM + 7, SAMPLES)
         kernels = [k for k in dr.kernel_history() if k["type"] == dr.KernelType.JIT]
     assert len(kernels) > 3 and all(kernel["cache_hit"] for kernel in kernels)
+
+
+def test_pixels_where_surfaces_end_are_cut_near_the_line() -> None:
+    """The line's into 13 rows a column together, others on an edge into four samples."""
+    direct, bent = np.zeros((96, 8), np.float32), np.zeros((96, 8), bool)
+    direct[40:43, :6], bent[[50, 90], 2] = 1.0, True
+    pixels, samples = _cut_pixels(direct, bent)
+    cut = dict(zip(pixels.tolist(), samples.tolist(), strict=True))
+    assert cut.pop(50 * 8 + 2) == EDGE_SAMPLES
+    assert cut == {8 * row + column: 5 for row in (40, 41, 42) for column in range(6)}
+
+
+def test_samples_of_a_pixel_lie_within_it_and_even_out(groove: Tank) -> None:
+    """Between the rays of its neighbours half a pixel away, and about its own in the mean: of n
+    samples a golden fraction apart to 1/n of a pixel, as any interval of theirs is."""
+    groove.render(POSITION_MM)
+    gathered = groove._gathered
+    assert gathered is not None
+    width = gathered._rays.size_px[0]
+    pixel = np.array([width * 20 + 30])
+    _, ways = gathered._pixel_rays
+    right, down = (ways[:, pixel + step] - ways[:, pixel] for step in (1, width))
+    for count in (EDGE_SAMPLES, 13):
+        _, found = gathered._within(pixel, np.array([count]))
+        offsets = np.linalg.lstsq(np.hstack([right, down]), found - ways[:, pixel], rcond=None)[0]
+        assert np.all(np.abs(offsets) < 0.502)
+        assert np.all(np.abs(offsets.mean(axis=1)) < 1 / count)
+        assert np.all(np.ptp(offsets, axis=1) > 1 - 2 / count)
 
 
 def test_sheets_add_up(picture: Layers) -> None:

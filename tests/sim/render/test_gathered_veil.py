@@ -12,7 +12,15 @@ from truth_scenes import tank as scene_with
 
 from lscan.records import Floats
 from sim.render.firstorder import HEAD, HeadRays, head_rays
-from sim.render.gathered.veil import STEP, HigherVeil, field_of_view, smooth_field
+from sim.render.gathered.picture import _mean_normal
+from sim.render.gathered.veil import (
+    LEAST_SLOPE,
+    STEP,
+    HigherVeil,
+    _level,
+    field_of_view,
+    smooth_field,
+)
 from sim.render.gathered.veilphotons import BATCH, COLUMNS, KEPT, ROWS, veil_counts
 from sim.render.layers import W_PER_M2_IN_MW_PER_MM2
 from sim.render.plugins.sheet import LaserSheet
@@ -208,3 +216,22 @@ def test_veil_is_the_judges() -> None:
         else:
             assert np.all(off < allowed)
             assert picture.mean() == pytest.approx(WHOLE, abs=0.02 * WHOLE + 3 * WHOLE_ERROR)
+
+
+def test_depth_is_measured_into_what_the_camera_sees(tank: Tank, rays: HeadRays) -> None:
+    """A plane that leans back by 50 degrees fills the picture: its normal is known to rounding, in
+    the head's frame, wherever the head stands; without surfaces depth goes along the fan's axis."""
+    turn = mi.ScalarTransform4f().rotate([1, 0, 0], 50.0).scale(1e4)
+    plane = mi.load_dict({"type": "scene", "plane": {"type": "rectangle", "to_world": turn}})
+    places = [head_pose(tank.scene.tank.head, x) for x in (0.0, 20.0)]
+    upright = _mean_normal(plane, rays, places)
+    assert upright is not None
+    lean = np.radians(50.0)
+    np.testing.assert_allclose(upright, [0, -np.sin(lean), np.cos(lean)], atol=1e-5)
+    assert _mean_normal(mi.load_dict({"type": "scene"}), rays, places) is None
+    sheet, view = sheet_of(10.0), field_of_view(rays)
+    np.testing.assert_allclose(_level(sheet, rays, view, upright), -upright)
+    np.testing.assert_allclose(_level(sheet, rays, view, None), [0, 0, -1], atol=1e-6)
+    # Depth behind what rays graze would not say where they end.
+    grazed = _level(sheet, rays, view, view.axes[0])
+    assert (grazed @ np.array(rays.direction)).min() > LEAST_SLOPE

@@ -124,6 +124,20 @@ def test_directions_follow_the_phase_function(name: str) -> None:
     assert np.abs(share - numbers[wide]).max() < error
 
 
+@every_water
+def test_a_directions_weight_hardly_varies(name: str) -> None:
+    """Value over density is 1 within a cell's change of the phase function: 3 % above
+    2e-4 rad, and its mean is exactly the phase function's whole, 1."""
+    numbers = evenly(2**15)
+    sample = mi.Point2f(floats(numbers), floats(numbers))
+    axis = mi.Vector3f(0.0, 0.0, 1.0)
+    angle = angle_between(axis, table(name).sample_direction(axis, sample))
+    weight = doubles(table(name).value(angle)) / doubles(table(name).direction_density(angle))
+    wide = doubles(angle) > 2e-4
+    assert np.abs(weight[wide] - 1).max() < 0.03
+    assert weight.mean() == pytest.approx(1, abs=2e-3)
+
+
 @FEW
 @given(
     beside=st.floats(0, 2.5).map(lambda power: 10**power),

@@ -41,7 +41,7 @@ def cut(window: tuple[int, int, int, int]) -> Scene:
 def picture() -> Floats:
     """Without noise and rounding."""
     scene = load_scene("paper/board")
-    electrons = Webcam(scene).mean_electrons(Tank(scene).render(0.0), 10.0)
+    electrons = Webcam(scene).mean_electrons(Tank(scene).render(0.0, 4), 10.0)
     return electrons.reshape(480, 640, -1)[..., 0]
 
 

@@ -316,6 +316,18 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
     assert evaluated(source) == []
 
 
+def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
+    in_threads: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.studies.run.executor.__version__", "99.0")
+    told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
+    with (
+        pytest.raises(InputError, match=told),
+        open_workers(scheduler=in_threads.scheduler.address),
+    ):
+        pass
+
+
 def on_another_disk(link: Path) -> Iterator[Path]:
     """What is done, by workers that see another folder at a path, as if it were another disk."""
     link.unlink()

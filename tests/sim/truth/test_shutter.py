@@ -1,5 +1,6 @@
 """The true line under a rolling shutter: closed form, fixed point, limits."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from lscan.records import Status
 from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
 from sim.truth.section import surfaces_of
-from sim.truth.stripe import row_positions_mm, standing_truth
+from sim.truth.stripe import _join_rows, row_positions_mm, standing_truth
 
 HEIGHT = 480
 
@@ -97,3 +98,17 @@ def test_each_row_has_the_time_of_its_own_exposure():
     for row in good[::200]:
         there = standing(scene, float(row_positions_mm(scene, 0.0, np.array(float(row)))))
         assert truth.centre_px[row] == pytest.approx(there.centre_px[row], abs=1e-4)
+
+
+def test_a_line_that_is_never_where_the_shutter_is_does_not_show():
+    still = standing(wave(0.0, 0.0), 0.0)
+    column = np.flatnonzero(still.status == Status.OK)[0]
+    row = still.centre_px[column]
+    before = replace(still, centre_px=np.full_like(still.centre_px, np.nan))
+    for late, status in ((5.0, Status.OK), (25.0, Status.NO_PEAK)):
+        # The line comes up when the shutter has gone on by ``late`` rows; it moves 10 a step.
+        rows = row + late + np.array([-20.0, -10.0, 0.0])
+        joined = _join_rows([before, before, still], rows)
+        assert joined.status[column] == status
+        assert np.isfinite(joined.centre_px[column]) == (status == Status.OK)
+        assert joined.lit[column] == (status == Status.OK)

@@ -217,6 +217,7 @@ def test_height_follows_the_exposure_until_it_clips() -> None:
     good = truth.status == Status.OK
     np.testing.assert_allclose(two.height_dn[good], 2 * one.height_dn[good], rtol=1e-12)
     np.testing.assert_allclose(many.height_dn[good], 250.0)
+    np.testing.assert_allclose(one.snr[good], (one.height_dn / one.noise_dn)[good], rtol=1e-12)
 
 
 def test_a_penumbra_takes_its_share_of_the_noise_beside_the_line() -> None:
