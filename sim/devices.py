@@ -275,7 +275,7 @@ def take_picture(
     Parameters
     ----------
     scene, tank, position_mm, samples
-        As of ``metered``.
+        As of ``metered_layers``.
     """
     from sim.sensor import Webcam
 

@@ -336,6 +336,7 @@ def test_a_program_says_its_version(
 ) -> None:
     main = importlib.metadata.EntryPoint(name, module, "console_scripts").load()
     monkeypatch.setattr(sys, "argv", [name, "--version"])
+    monkeypatch.setattr("lscan.cli.console.ignore_stop_signals", lambda: None)  # the tests go on
     with pytest.raises(SystemExit) as left:
         main()
     assert (left.value.code, capsys.readouterr().out) == (0, f"{name} {lscan.__version__}\n")

@@ -196,7 +196,7 @@ def bound_px(case: drawn.LineCase) -> float:
 
     Examples
     --------
-    >>> round(bound_px(LineCase("tap", 1.5, 200.0, NoiseSection(read_dn=1.0))), 4)
+    >>> round(bound_px(drawn.LineCase("tap", 1.5, 200.0, NoiseSection(read_dn=1.0))), 4)
     0.0067
     """
     phases = (np.arange(PHASES) + 0.5) / PHASES - 0.5

@@ -45,7 +45,7 @@ def signed_number(value: float, digits: int) -> str:
 
     Examples
     --------
-    >>> signed(-0.256, 2)
+    >>> signed_number(-0.256, 2)
     '−0.26'
     """
     return f"{value:+.{digits}f}".replace("-", "−")

@@ -99,7 +99,7 @@ def fixed_pattern(sensor: Sensor, shape: tuple[int, ...]) -> FixedPattern:
 def read_out(
     expected: Electrons, sensor: Sensor, pattern: FixedPattern, generator: np.random.Generator
 ) -> Electrons:
-    """Electrons read out of those expected, as ``gathered`` gives them, same shape.
+    """Electrons read out of those expected, as ``with_pattern`` gives them, same shape.
 
     Shot noise is Poisson, of the dark current of hot pixels too; dark noise is Gaussian and
     may leave a pixel below zero, as reading out does.  Where their sum is skewed by no more than

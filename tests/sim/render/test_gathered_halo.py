@@ -146,8 +146,8 @@ def reached(scene: mi.Scene, start: Floats, end: Floats) -> Floats:
 def test_what_is_left_is_interpolated_along_the_track(tank: Tank, paths: HaloPaths) -> None:
     """Between the places where it is known, halo and veil alike."""
     light = gathered(tank)
-    known = [light._left(number * LEFT_APART_MM) for number in (13, 14)]
-    between = light._left(13.25 * LEFT_APART_MM)
+    known = [light._shares_left(number * LEFT_APART_MM) for number in (13, 14)]
+    between = light._shares_left(13.25 * LEFT_APART_MM)
     assert len(between) == 1 + len(tank.sheets)
     for here, there, found in zip(*known, between, strict=True):
         assert np.abs(there - here).max() > 1e-3, "it differs"

@@ -319,7 +319,7 @@ def test_a_worker_of_another_version_is_refused_before_its_first_row(
 def test_a_worker_that_cannot_look_for_itself_is_asked_for_its_lscan(
     in_threads: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("sim.studies.run.executor.__version__", "99.0")
+    monkeypatch.setattr("sim.studies.executor.__version__", "99.0")
     told = r"the worker at tcp://\S+: has another version of lscan \(got .*; allowed: 99.0"
     with (
         pytest.raises(InputError, match=told),
