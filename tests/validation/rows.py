@@ -38,7 +38,7 @@ class Row:
     power : float or None, the probability that the figure would be beyond its bar with the fault
         that the row is there for, by default a deviation FAULT times as large as required; None
         where chance plays no part, or where it is not known.  A row with less than LEAST_POWER
-        decides nothing, and is not passed
+        decides nothing where it is within its bar, and is not judged
     error : str, what kept it from being measured, "" where nothing did
     """
 
@@ -64,15 +64,16 @@ class Row:
     def passed(self) -> bool | None:
         """Whether the figure is a number on the right side of its bar.
 
-        None where a number is not judged: it has no bar, or a quick run's noise could spoil it.
+        None where a number is not judged: it has no bar, a quick run's noise could spoil it, or it
+        would be within its bar with the fault too.
         """
         if self.error or not isfinite(self.figure):
             return False
         if self.bar is None or (self.quick and self.noisy):
             return None
-        return self.decides and bool(
-            self.figure >= self.bar if self.at_least else self.figure <= self.bar
-        )
+        if not (self.figure >= self.bar if self.at_least else self.figure <= self.bar):
+            return False
+        return True if self.decides else None
 
     def as_json(self) -> dict[str, Any]:
         """The row as the figures file holds it; a figure that is no number is null there."""

@@ -95,5 +95,6 @@ def test_a_judge_too_noisy_decides_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     found = rows_with(monkeypatch, noise=100 * NOISE)
     assert {name for name, row in found.items() if not row.decides} == set(NAMES) - {"pixel"}
     assert {name for name, row in found.items() if row.passed} == {"pixel"}
+    assert all(row.passed is None for name, row in found.items() if name != "pixel")
     assert "means of 26 neighbours" in found["pixel"].reference
     assert "means of 8 neighbours" in rows_with(monkeypatch)["pixel"].reference
