@@ -29,7 +29,7 @@ help:
 	@echo "make oldest  tests of the instrument and a render with the oldest packages allowed; out/oldest"
 	@echo "make lint    the checks alone: ruff, mypy, import contracts"
 	@echo "make validate  hold tank and instrument to their figures; out/validate/report.html."
-	@echo "             NAME=light (or instrument, surfaces, robustness, studies, regression,"
+	@echo "             NAME=light (or instrument, surfaces, robustness, intervals, studies, regression,"
 	@echo "             roughness, speed) measures one theme, QUICK=1 all with the least effort"
 	@echo "make suites  render the suites quick and chains and pack the wheel of them; out/dist"
 	@echo "make tables  make the tables of scattered light that are shipped"

@@ -95,7 +95,7 @@ def _try_devices(
     rig_file: RigFile, pictures: int, approaches: int, dark: bool
 ) -> tuple[CameraTrial, TrackTrial]:
     """Open the rig's devices and try them out; the cap first, where the dark is wanted."""
-    channel, dark_pictures = rig_file.rig.stripe.colour, None
+    stripe, dark_pictures = rig_file.rig.stripe, None
     if dark:
         # The prompts are on stderr, since stdout may be for JSON.
         ask = partial(typer.prompt, default="", show_default=False, err=True)
@@ -103,7 +103,7 @@ def _try_devices(
         with open_devices(rig_file) as (camera, _):
             if isinstance(camera, BlackAccepting):
                 camera.accept_black()
-            dark_pictures, _ = grab_series(camera, pictures, channel)
+            dark_pictures, _ = grab_series(camera, pictures, stripe.colour, gamma=stripe.gamma)
         ask("take the cap off, then press Enter")
     with open_devices(rig_file) as (camera, track):
         # The track first: what is wrong with it is known before the many pictures are taken.
@@ -112,7 +112,10 @@ def _try_devices(
         may_light = rig_file.rig.plan.laser != "untouched"
         laser = track if may_light and isinstance(track, LaserSwitch) else None
         with progress_bar("pictures") as report:
-            return try_camera(camera, pictures, channel, dark_pictures, report, laser), track_trial
+            trial = try_camera(
+                camera, pictures, stripe.colour, dark_pictures, report, laser, stripe.gamma
+            )
+    return trial, track_trial
 
 
 def _camera_json(trial: CameraTrial) -> dict[str, Any]:
@@ -170,6 +173,13 @@ def _camera_lines(camera: CameraTrial) -> Iterator[str | Table]:
         yield f"dark: {camera.dark_dn:.2f} DN, noise {camera.dark_noise_dn:.3f} DN"
     if camera.linearity is not None:
         yield f"linearity: error {camera.linearity.error_percent:.2f} % (5 to 95 % of the range)"
+        if camera.linearity.is_curved:
+            gamma, sigma = camera.linearity.gamma, camera.linearity.gamma_sigma
+            yield (
+                f"its grey values follow a curve of gamma {gamma:.2f} ± {sigma:.2f}: state "
+                f"gamma = {gamma:.2g} under [stripe], or switch the curve off in the camera, and "
+                "try again; as it is, the line ends too late at edges"
+            )
     yield from camera.remarks
     if camera.transfer is not None:
         yield _transfer_line(camera.transfer)

@@ -85,6 +85,9 @@ class NoiseSection(Strict):
     speckle: Annotated[float, Field(ge=0, le=1)] = 0.0
 
 
+Gamma = Annotated[float, Field(ge=1, le=3)] | Literal["srgb"]
+
+
 class StripeSection(Strict):
     """How the laser line is found: the paper's rule is span 2 about the first maximum.
 
@@ -98,6 +101,10 @@ class StripeSection(Strict):
     smooth_px: standard deviation, along the line, of a robust smoothing; 0 leaves every column to
     itself.  blur_px: standard deviation of the camera's point spread, with which the shift that
     blur gives to a curved line of uneven brightness is corrected for; None: not corrected.
+    gamma: the camera's tone curve, whose grey value goes with the light to the power 1 / gamma, or
+    "srgb" (IEC 61966-2-1); it is undone before the line is read, and threshold_dn and noise are of
+    what is left.  1: a linear camera.  A webcam has about 2.2; where it is not stated, the line's
+    skirts are lifted and the line ends too late at an edge.
 
     Examples
     --------
@@ -115,6 +122,7 @@ class StripeSection(Strict):
     line_width_px: Annotated[float, Field(ge=1, le=60)] | None = None
     smooth_px: Annotated[float, Field(ge=0, le=100)] = 0.0
     blur_px: Annotated[float, Field(gt=0, le=20)] | None = None
+    gamma: Gamma = 1.0
     noise: NoiseSection | None = None
 
     @property

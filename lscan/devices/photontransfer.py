@@ -13,10 +13,11 @@ level, and so flatten the slope.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
+from scipy.optimize import curve_fit
 
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Bytes, Floats, Ints, Mask
@@ -38,6 +39,9 @@ level 3 standard deviations from the limit, and it takes less than 1 % off the v
 LINEAR_DN = (0.05 * BRIGHTEST_DN, 0.95 * BRIGHTEST_DN)
 """Grey values between which a camera is judged for linearity (EMVA 1288, "Linearity")."""
 
+
+LEAST_CURVE = 0.05
+"""Gamma above 1 that counts as a curve: a lamp that warms by 10 % over the series feigns less."""
 
 LEAST_FLICKER = 0.05
 """Part of a pixel's noise variance that a change of the light must reach to be taken out of it."""
@@ -122,12 +126,22 @@ class Linearity:
     """How straight the grey value goes with the exposure time.
 
     error_percent: mean of |grey value - line| / line, in per cent, between 5 % and 95 % of the
-    range.  dn_per_ms, offset_dn: the line.
+    range.  dn_per_ms, offset_dn: the line.  gamma, gamma_sigma: of the tone curve that fits better,
+    and its standard uncertainty; None where there are fewer than four exposures.
     """
 
     error_percent: float
     dn_per_ms: float
     offset_dn: float
+    gamma: float | None = None
+    gamma_sigma: float | None = None
+
+    @property
+    def is_curved(self) -> bool:
+        """Whether a tone curve shows: by more than chance, and more than a lamp may drift."""
+        if self.gamma is None or self.gamma_sigma is None:
+            return False
+        return self.gamma - 1 > max(3 * self.gamma_sigma, LEAST_CURVE)
 
 
 def flicker(pictures: Bytes) -> Flicker | None:
@@ -253,7 +267,8 @@ def _weighted_line(light: Floats, levels: Levels) -> tuple[Floats, Floats, float
 def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
     """How straight mean grey values go with exposure times.
 
-    The line is the one whose relative distances are least in squares.
+    The line is the one whose relative distances are least in squares; so is the tone curve, the
+    grey value over 255 being a straight line's value over 255 to the power 1 / gamma.
 
     Parameters
     ----------
@@ -280,7 +295,17 @@ def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
     slope, offset = np.polyfit(time_ms, grey, 1, w=1 / grey)
     line = offset + slope * time_ms
     error = float(np.mean(np.abs(grey - line) / np.abs(line)))
-    return Linearity(100 * error, float(slope), float(offset))
+    straight = Linearity(100 * error, float(slope), float(offset))
+    if len(np.unique(time_ms)) < 4:
+        return straight
+
+    def curve(time_ms: Floats, full_dn: float, dark_dn: float, gamma: float) -> Floats:
+        light = dark_dn + (full_dn - dark_dn) * time_ms / time_ms.max()
+        return np.asarray(BRIGHTEST_DN * (np.maximum(light, 1e-6) / BRIGHTEST_DN) ** (1 / gamma))
+
+    first, bounds = (grey.max(), 0.0, 1.0), ((1.0, -50.0, 0.3), (260.0, 100.0, 4.0))
+    found, covariance = curve_fit(curve, time_ms, grey, first, sigma=grey, bounds=bounds)
+    return replace(straight, gamma=float(found[2]), gamma_sigma=float(np.sqrt(covariance[2, 2])))
 
 
 def _levels(pictures: Bytes, level: Ints, flickers: bool = False) -> Levels:

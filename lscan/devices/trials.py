@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.special import chdtri
 
-from lscan.config.rig import Channel
+from lscan.config.rig import Channel, Gamma
 from lscan.devices.api import Camera, Describing, Fact, LaserSwitch, Limited, Previewing, Track
 from lscan.devices.opencv_camera.options import Setting
 from lscan.devices.photontransfer import (
@@ -27,6 +27,7 @@ from lscan.devices.photontransfer import (
     photon_transfer,
 )
 from lscan.errors import DeviceError, InputError, MeasurementError
+from lscan.files.pictures import linear_picture
 from lscan.records import Bytes, Floats, Progress
 
 # How late a camera's pictures come: from a change in view to the picture that shows it.
@@ -245,7 +246,11 @@ class CameraTrial:
 
 
 def grab_series(
-    camera: Camera, pictures: int, channel: Channel, progress: Progress | None = None
+    camera: Camera,
+    pictures: int,
+    channel: Channel,
+    progress: Progress | None = None,
+    gamma: Gamma = 1.0,
 ) -> tuple[Bytes, Timing]:
     """Pictures of one colour, taken one after the other, and their timing.
 
@@ -259,6 +264,8 @@ def grab_series(
         As in ``stripe.channel``; grey is the luma of ITU-R BT.601, rounded.
     progress : callable, optional
         Called with the number of pictures done, and of all.
+    gamma : float or "srgb", optional
+        As ``stripe.gamma``: the curve that is undone.
 
     Returns
     -------
@@ -280,7 +287,7 @@ def grab_series(
         grab = camera.grab()
         latencies_s.append(time.monotonic() - began_s)
         times_s.append(grab.time_s)
-        images.append(_one_colour(grab.image, channel))
+        images.append(_one_colour(linear_picture(grab.image, gamma), channel))
         if progress is not None:
             progress(index + 1, pictures)
     intervals_s = np.diff(times_s)
@@ -299,6 +306,7 @@ def try_camera(
     dark: Bytes | None = None,
     progress: Progress | None = None,
     laser: LaserSwitch | None = None,
+    gamma: Gamma = 1.0,
 ) -> CameraTrial:
     """Timing, noise and linearity of a camera that looks at a still, evenly lit scene.
 
@@ -319,6 +327,8 @@ def try_camera(
     laser : LaserSwitch, optional
         Switched to see how late the pictures come, if the camera can show what it sees; off from
         then on.
+    gamma : float or "srgb", optional
+        As ``stripe.gamma``: the curve that is undone in every picture.
 
     Returns
     -------
@@ -344,7 +354,7 @@ def try_camera(
             delay = picture_delay(camera, laser)
         except MeasurementError as error:
             remarks.append(str(error))
-    series, timing = grab_series(camera, pictures, channel, progress)
+    series, timing = grab_series(camera, pictures, channel, progress, gamma)
     levels = grey_levels(series)
     if seen := flicker(series):
         rows = seen.period_rows
@@ -356,7 +366,7 @@ def try_camera(
         )
     straight = None
     if isinstance(camera, ExposureControl) and camera.can_set_exposure:
-        more, exposures_ms, means_dn = _exposure_series(camera, pictures, channel)
+        more, exposures_ms, means_dn = _exposure_series(camera, pictures, channel, gamma)
         levels = levels + more
         try:
             straight = linearity(exposures_ms, means_dn)
@@ -401,7 +411,7 @@ def _doubts(transfer: PhotonTransfer) -> tuple[str, ...]:
             "camera's. JPEG pictures (a stream, pixel_format MJPG) hold noise smoothed away and "
             "noise of the coding: ask for uncoded ones, such as YUYV. A laser's speckle grows "
             "faster than the light: switch it off, and light the scene by a lamp. Else look for "
-            "a gamma curve, sharpening or noise reduction"
+            "a gamma curve ([stripe] gamma states and undoes it), sharpening or noise reduction"
         )
     return tuple(doubts)
 
@@ -417,7 +427,7 @@ def noise_section(transfer: PhotonTransfer) -> str:
 
 
 def _exposure_series(
-    camera: ExposureControl, pictures: int, channel: Channel
+    camera: ExposureControl, pictures: int, channel: Channel, gamma: Gamma
 ) -> tuple[Levels, Floats, Floats]:
     """Levels of grey, exposure times (ms) and mean grey values (DN) over all exposure times.
 
@@ -429,7 +439,7 @@ def _exposure_series(
     try:
         for part in EXPOSURE_PARTS:
             exposures_ms.append(camera.set_exposure(part * full_ms))
-            series, _ = grab_series(camera, pictures, channel)
+            series, _ = grab_series(camera, pictures, channel, gamma=gamma)
             levels.append(grey_levels(series))
             means.append(series.mean(axis=0))
     finally:

@@ -7,6 +7,7 @@ import io
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -361,3 +362,48 @@ def write_picture(path: Path, image: Bytes) -> None:
         There is no such format, it cannot hold a picture of that shape, or the disk refuses.
     """
     write_atomically(path, encode_picture(image, path.suffix or ".png", where=path))
+
+
+# A camera's tone curve, undone.
+
+
+def linear_picture(picture: Bytes, gamma: float | Literal["srgb"]) -> Bytes:
+    """The picture as the same camera would have taken it with grey values in proportion to light.
+
+    Rounded to whole DN, as a linear camera's are: at the dark end that is coarser than what the
+    curve had kept, by no more than the rounding that every noise here holds.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) array, uint8, DN
+    gamma : float or "srgb", the curve as ``stripe.gamma`` states it
+
+    References
+    ----------
+    sRGB: IEC 61966-2-1:1999, section 5.2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> linear_picture(np.array([[0, 128, 255]], dtype=np.uint8), "srgb")
+    array([[  0,  55, 255]], dtype=uint8)
+    """
+    if gamma == 1:
+        return picture
+    return np.asarray(cv2.LUT(picture, linear_dn(gamma)), dtype=np.uint8)
+
+
+@lru_cache(maxsize=16)
+def linear_dn(gamma: float | Literal["srgb"]) -> Bytes:
+    """(256,) uint8, DN of a linear camera for each grey value behind a tone curve.
+
+    Parameters
+    ----------
+    gamma : float or "srgb", as of ``linear_picture``
+    """
+    share = np.arange(256) / 255
+    if gamma == "srgb":
+        share = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    else:
+        share = share**gamma
+    return np.rint(255 * share).astype(np.uint8)

@@ -14,6 +14,7 @@ from lscan.config.plugins import find_plugin_or_function, foreign_error, frames_
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import write_atomically
+from lscan.files.pictures import linear_dn, linear_picture
 from lscan.records import (
     Axis,
     Bytes,
@@ -395,15 +396,23 @@ def _light(
     Clipped are the pixels at the end of the range by the laser's doing.
     """
     check_pair(image, background)
-    lit = lines_of(image, settings.channel, settings.axis, where="image")
+    lit = taken = lines_of(image, settings.channel, settings.axis, where="image")
+    if settings.gamma != 1:
+        # Coding and the end of the range show in the grey values as the camera gave them.
+        image, end = (
+            linear_picture(image, settings.gamma),
+            linear_dn(settings.gamma)[lit.clipping_dn],
+        )
+        lit = lines_of(image, settings.channel, settings.axis, "image", int(end))
     if settings.channel == "auto" and lit.others is not None:
         coloured = lit.grey if lit.white is None else np.where(lit.white, 0, lit.grey)
         threshold_dn = min(settings.threshold_dn, faint_threshold(coloured))
         settings = settings.model_copy(update={"threshold_dn": threshold_dn})
-    if settings.noise is not None and is_coded(lit.grey):
+    if settings.noise is not None and is_coded(taken.grey):
         settings = settings.model_copy(update={"noise": None})
     taken_off: list[GreyValues] = [] if lit.others is None else [lit.others]
     if background is not None:
+        background = linear_picture(background, settings.gamma)
         dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
         taken_off.append(dark.grey)
         grey, clipped = lit.grey.astype(np.int16) - dark.grey, lit.clipped & ~dark.clipped

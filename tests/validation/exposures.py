@@ -41,29 +41,29 @@ class ScanReading:
 
 def pictures(scene: Scene, layers: Layers, seeds: Iterable[int]) -> list[Bytes]:
     """One picture, (H, W, 3), of the same light for each seed."""
-    return [_exposed(_webcam(scene, seed), layers, scene, (seed, 0)) for seed in seeds]
+    return [expose(webcam_of(scene, seed), layers, scene, (seed, 0)) for seed in seeds]
 
 
 def read_scan(
     scene: Scene, positions_mm: Sequence[float], seeds: Sequence[int], stripe: StripeSection
 ) -> list[ScanReading]:
     """The scan's stripes once for each seed; each position is rendered only once."""
-    tank, webcams = Tank(scene), [_webcam(scene, seed) for seed in seeds]
+    tank, webcams = Tank(scene), [webcam_of(scene, seed) for seed in seeds]
     found: list[list[Stripe]] = [[] for _ in seeds]
     for number, position in enumerate(positions_mm):
         layers = tank.render(position)
         for seed, webcam, stripes in zip(seeds, webcams, found, strict=True):
-            image = _exposed(webcam, layers, scene, (seed, number))
+            image = expose(webcam, layers, scene, (seed, number))
             stripes.append(extract_stripe(image, stripe))
     return [ScanReading(tuple(positions_mm), tuple(stripes)) for stripes in found]
 
 
-def _webcam(scene: Scene, seed: int) -> Webcam:
+def webcam_of(scene: Scene, seed: int) -> Webcam:
     """The scene's webcam with a sensor of its own: its fixed pattern is one of many too."""
     return Webcam(scene.with_tank(sensor={"seed": seed}))
 
 
-def _exposed(webcam: Webcam, layers: Layers, scene: Scene, stream: tuple[int, int]) -> Bytes:
+def expose(webcam: Webcam, layers: Layers, scene: Scene, stream: tuple[int, int]) -> Bytes:
     generator = np.random.default_rng([STREAM, *stream])
     return webcam.expose(layers, scene.rig.camera.exposure_ms, generator)
 

@@ -62,6 +62,7 @@ THEMES: Mapping[str, Theme] = {
         "Does it hold for other pictures, waters and surfaces?", "surfaces.chapters", True
     ),
     "robustness": Theme("What do faults, kills and load do?", "robustness.chapters"),
+    "intervals": Theme("Do stated intervals hold?", "intervals.chapters", True),
     "studies": Theme("Do studies say where errors come from?", "studies.chapters"),
     "regression": Theme("Do suites notice what changes?", "regression.chapters"),
     "roughness": Theme("How well is roughness known?", "roughness.chapters", True),

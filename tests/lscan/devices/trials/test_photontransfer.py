@@ -198,6 +198,17 @@ def test_linearity_of_a_line_and_of_a_parabola() -> None:
     assert two.error_percent == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.parametrize("gamma", [1.0, 1.8, 2.2, 2.6])
+def test_a_tone_curve_is_found_from_exposures(gamma: float) -> None:
+    """Grey values to 0.1 DN behind a curve over a dark level of 4 DN: gamma within 4 sigma."""
+    exposure_ms, generator = np.arange(1.0, 9.0), np.random.default_rng(11)
+    light = (4 + 25 * exposure_ms) / 255
+    found = linearity(exposure_ms, 255 * light ** (1 / gamma) + generator.normal(0, 0.1, 8))
+    assert found.gamma is not None and found.gamma_sigma is not None
+    assert abs(found.gamma - gamma) < 4 * found.gamma_sigma < 0.2
+    assert found.is_curved == (gamma > 1)
+
+
 def test_linearity_needs_three_exposures_in_range() -> None:
     with pytest.raises(MeasurementError, match="13 to 242 DN"):
         linearity(np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 50.0, 100.0, 250.0]))
