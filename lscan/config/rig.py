@@ -279,7 +279,7 @@ class ShaftSection(Strict):
 class CalibrationSection(Strict):
     """Which plane map is solved from the board picture, and from which colour channel."""
 
-    plane_map: str = "graticule-2"
+    plane_map: str = "auto"
     channel: Channel = "grey"
 
 
