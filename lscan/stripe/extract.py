@@ -275,9 +275,10 @@ def extract_stripe(
     several lines, and it is not known which is meant.  On a lit target sigma_px grows with the
     contrast of the texture beside the line (edges.py).
 
-    Where the settings do not state the noise, sigma_px is at least what the centres are seen to
-    scatter about their neighbours along the line.  What they state does not hold
-    in a picture that was compressed as JPEG is, and is left out there (picture.py).
+    sigma_px is at least what the centres are seen to scatter about their neighbours along the
+    line, whether the settings state the noise or not: what holds for one rig may not for another,
+    nor in pictures that a video was coded to.  In a picture that was compressed as JPEG is, what
+    they state is left out (picture.py).
 
     Parameters
     ----------
@@ -368,9 +369,8 @@ def _complete_stripes(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stri
     whole = _mark_saturated(whole, clipped, made_up, settings.span_px)
     whole = withhold(whole, np.concatenate([seen.chosen.ambiguous for seen in found_in]))
     stripes = list(map(_doubt_by_target, peaks.split_stripe(whole, len(found)), found_in))
-    if settings.noise is None:
-        crests = [seen.chosen.crest for seen in found_in]
-        stripes = at_least_seen(list(zip(stripes, lights, crests, strict=True)))
+    crests = [seen.chosen.crest for seen in found_in]
+    stripes = at_least_seen(list(zip(stripes, lights, crests, strict=True)))
     for place, light in enumerate(lights):
         stripe = correct_blur(stripes[place], settings, light)
         stripes[place] = smooth(stripe, settings.smooth_px)
