@@ -8,7 +8,7 @@ differs by (fit.py).  sigma_px holds all three.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, wraps
 from typing import cast
 
@@ -19,7 +19,14 @@ from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
 from lscan.stripe.api import Extractor, Picture, Several, on_integers, together
 from lscan.stripe.fit import LineWindows, lines, parameters_of
 from lscan.stripe.likelihood import Survey, survey
-from lscan.stripe.peaks import batch_by_kind, nominal_peaks, split_stripe, stripe_at, windows_beside
+from lscan.stripe.peaks import (
+    Peaks,
+    batch_by_kind,
+    nominal_peaks,
+    split_stripe,
+    stripe_at,
+    windows_beside,
+)
 from lscan.stripe.picture import Noise, line_noise
 
 # Extractors that put the centre where a rule says: what they share, and their uncertainty.
@@ -153,7 +160,9 @@ def _line_light(seen: Survey, light: Floats) -> LineLight:
 # - ``centroid``: eq. (8) with the grey values as weights;
 # - ``centroid_relative``: eq. (8) with the window's smallest grey value subtracted first.
 #
-# None of them takes account of which pixels are clipped.
+# Where the crest is clipped, the first maximum is its upper end and not its middle: by as much as
+# half its width in every column alike.  There the nominal peak is the middle of the clipped pixels,
+# and the centre too where the window hardly sees beyond them.
 
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
@@ -186,6 +195,8 @@ def _alike(
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
         return split_stripe(stripe, len(pictures))
+    middle, flat = _clipped_middles([clipped for *_, clipped in pictures], peaks)
+    peaks = replace(peaks, rows=np.floor(middle).astype(int))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
     wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
@@ -195,15 +206,34 @@ def _alike(
     each = zip(columns, np.split(light, begin), np.split(peaks.columns, begin), strict=True)
     variance = np.concatenate([line_noise(one, seen, at).variance(seen) for one, seen, at in each])
     offset, slope = centring(window)
+    wide_crest = flat > settings.span_px
+    offset[wide_crest], slope[wide_crest] = (middle - peaks.rows)[wide_crest], 0.0
     variance_px = (slope**2 * variance).sum(axis=1)
     variance_px += _choice_variance(wide, offset, variance, centring)
     if guesses_background:
         variance_px += _background_variance(light, offset)
+    variance_px[wide_crest] = 1 / 12  # of a pixel at either end; extract_stripe adds the rest
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
     found = stripe_at(stripe, peaks, offset, np.sqrt(variance_px), kept)
     return split_stripe(found, len(pictures))
+
+
+def _clipped_middles(clipped: Sequence[Mask], peaks: Peaks) -> tuple[Floats, Ints]:
+    """(K,) px, the middles of the clipped pixels about the peaks, and how many there are.
+
+    The peak itself, and 0, where it is not clipped.
+    """
+    middles, count = peaks.rows.astype(float), np.zeros(len(peaks.rows), dtype=int)
+    lines = np.concatenate([mask.T for mask in clipped])
+    at = np.flatnonzero(lines[peaks.columns, peaks.rows])
+    dark, place = ~lines[peaks.columns[at]], np.arange(lines.shape[1])
+    rows = peaks.rows[at, None]
+    first = np.where(dark & (place < rows), place, -1).max(axis=1) + 1
+    last = np.where(dark & (place > rows), place, len(place)).min(axis=1) - 1
+    middles[at], count[at] = (first + last) / 2, last - first + 1
+    return middles, count
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:
@@ -241,7 +271,7 @@ def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe
     ----------
     image : (H, W) array, DN, grey values
     settings : StripeSection, threshold and span; see :func:`_alike`
-    clipped : (H, W) mask, not used by the rule
+    clipped : (H, W) mask, the middle of whose run about the peak is the peak
 
     References
     ----------
@@ -261,7 +291,7 @@ def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Strip
     ----------
     image : (H, W) array, DN, grey values
     settings : StripeSection, threshold and span; see :func:`_alike`
-    clipped : (H, W) mask, not used by the rule
+    clipped : (H, W) mask, the middle of whose run about the peak is the peak
 
     References
     ----------
@@ -279,7 +309,7 @@ def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask)
     ----------
     image : (H, W) array, DN, grey values
     settings : StripeSection, threshold and span; see :func:`_alike`
-    clipped : (H, W) mask, not used by the rule
+    clipped : (H, W) mask, the middle of whose run about the peak is the peak
 
     References
     ----------
