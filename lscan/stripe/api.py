@@ -9,7 +9,7 @@ from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, Mask, Status, Stripe, has_value
 
-_MARK, _SEVERAL = "takes_integers", "several"
+_MARK, _SEVERAL, _SMOOTHS = "takes_integers", "several", "smooths_along"
 _GIVEN = (Status.OK, Status.SATURATED, Status.NO_PEAK, Status.AT_BORDER, Status.AMBIGUOUS)
 _CODES = np.array([[code] for code in _GIVEN])
 
@@ -81,6 +81,29 @@ def takes_integers(extractor: Extractor) -> bool:
     extractor : Extractor, any
     """
     return bool(getattr(extractor, _MARK, False))
+
+
+def along_the_line(extractor: Extractor) -> Extractor:
+    """Mark an extractor that reads a column's centre from its neighbours' light too.
+
+    How its centres scatter from one column to the next says little of their errors then.
+
+    Parameters
+    ----------
+    extractor : Extractor, any
+    """
+    setattr(extractor, _SMOOTHS, True)
+    return extractor
+
+
+def smooths_along(extractor: Extractor) -> bool:
+    """Whether an extractor is marked by :func:`along_the_line`.
+
+    Parameters
+    ----------
+    extractor : Extractor, any
+    """
+    return bool(getattr(extractor, _SMOOTHS, False))
 
 
 Picture = tuple[Any, StripeSection, Mask]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.config.plugins import find_plugin_or_function, foreign_error, frames_of_others
-from lscan.config.rig import StripeSection
+from lscan.config.rig import NoiseSection, StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import write_atomically
 from lscan.files.pictures import linear_dn, linear_picture
@@ -28,7 +28,14 @@ from lscan.records import (
     has_value,
 )
 from lscan.stripe import peaks
-from lscan.stripe.api import Extractor, Picture, require_stripe, stripes_by, takes_integers
+from lscan.stripe.api import (
+    Extractor,
+    Picture,
+    require_stripe,
+    smooths_along,
+    stripes_by,
+    takes_integers,
+)
 from lscan.stripe.corrections import correct_blur, smooth
 from lscan.stripe.picture import (
     PictureLines,
@@ -39,6 +46,7 @@ from lscan.stripe.picture import (
     is_coded,
     lines_of,
     robust_variance,
+    stated_noise,
 )
 from lscan.stripe.returns import OneReturn, choose_return, withhold
 
@@ -96,6 +104,66 @@ def at_least_seen(seen: Sequence[SeenLine]) -> list[Stripe]:
     lags = iter(shared_columns(list(compress(seen, enough))))
     each = zip(seen, enough, strict=True)
     return [_widen_sigma(one[0], next(lags)) if many else one[0] for one, many in each]
+
+
+def beyond_stated(seen: Sequence[SeenLine], settings: StripeSection) -> list[Stripe]:
+    """The stripes with sigma_px enlarged where a line scatters more than its stated noise makes it.
+
+    What is compared is the light's own first moment, weighted with a Gaussian of the line's width:
+    that judges the noise which is stated, and not what an extractor makes of it.  Where it exceeds
+    the noise, sigma_px grows by that, or by no more than the centres scatter beyond it.
+
+    Parameters
+    ----------
+    seen : sequence of SeenLine, of one picture each
+    settings : StripeSection, the extractor, and the noise as stated for these pictures
+    """
+    assert settings.noise is not None
+    found = []
+    for one in seen:
+        stripe, factor = one[0], 1.0
+        if np.count_nonzero(has_value(stripe.status)) >= _FEWEST_DIFFERENCES:
+            moments, lag = _weighted_middles(*one, settings.noise), shared_columns([one])[0]
+            factor = excess(moments, peaks.pieces(moments), lag)
+            if factor > 1 and not smooths_along(find_extractor(settings.extractor)):
+                factor = min(factor, excess(stripe, peaks.pieces(stripe), lag))
+        found.append(replace(stripe, sigma_px=factor * stripe.sigma_px))
+    return found
+
+
+def _weighted_middles(
+    stripe: Stripe, light: GreyValues, crest: Ints, noise: NoiseSection
+) -> Stripe:
+    """The stripe whose centres are the light's weighted first moments; sigma by the noise stated.
+
+    The middle m solves sum of w (x - m) I = 0 with weights w(x - m), so that a pixel moves it by
+    w (x - m) over the sum of w I (1 - (x - m)² / s²).
+    """
+    at = np.flatnonzero(stripe.status == Status.OK)
+    row = np.rint(stripe.centre_px[at]).astype(int)
+    scale = max(peaks.line_width(light, at, crest[at]), _FINEST_PX) if len(at) else _FINEST_PX
+    steps = np.arange(-int(np.ceil(3 * scale)) - 2, int(np.ceil(3 * scale)) + 3)
+    grey = peaks.windows(light, at, row, steps)
+    line = grey - grey[:, [0, 1, -2, -1]].mean(axis=1, keepdims=True)
+    middle = stripe.centre_px[at] - row
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for _ in range(2 * _STEPS):
+            off = steps - middle[:, None]
+            weighted = np.exp(-0.5 * (off / scale) ** 2) * line
+            moved = (weighted * off).sum(axis=1) / weighted.sum(axis=1)
+            middle = middle + np.clip(2 * moved, -scale, scale)
+        by_pixel = np.exp(-0.5 * (off / scale) ** 2) * off
+        by_pixel /= (weighted * (1 - (off / scale) ** 2)).sum(axis=1)[:, None]
+        variance = stated_noise(noise, 0.0).variance(np.maximum(grey, 0.0))
+        # Speckle is the laser's: the ground has none.
+        variance += noise.speckle**2 * (np.maximum(line, 0.0) ** 2 - np.maximum(grey, 0.0) ** 2)
+        sigma = np.sqrt((by_pixel**2 * variance).sum(axis=1))
+    good = np.isfinite(middle) & (np.abs(middle) < scale + 1) & (sigma > 0) & np.isfinite(sigma)
+    status = np.full(len(stripe.status), int(Status.NO_PEAK))
+    centre_px, sigma_px = np.full((2, len(status)), np.nan)
+    kept = at[good]
+    status[kept], centre_px[kept], sigma_px[kept] = Status.OK, (row + middle)[good], sigma[good]
+    return replace(stripe, centre_px=centre_px, sigma_px=sigma_px, status=status)
 
 
 def _widen_sigma(stripe: Stripe, lag: int) -> Stripe:
@@ -370,7 +438,8 @@ def _complete_stripes(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stri
     whole = withhold(whole, np.concatenate([seen.chosen.ambiguous for seen in found_in]))
     stripes = list(map(_doubt_by_target, peaks.split_stripe(whole, len(found)), found_in))
     crests = [seen.chosen.crest for seen in found_in]
-    stripes = at_least_seen(list(zip(stripes, lights, crests, strict=True)))
+    each = list(zip(stripes, lights, crests, strict=True))
+    stripes = at_least_seen(each) if settings.noise is None else beyond_stated(each, settings)
     for place, light in enumerate(lights):
         stripe = correct_blur(stripes[place], settings, light)
         stripes[place] = smooth(stripe, settings.smooth_px)

@@ -15,7 +15,7 @@ from scipy.special import ndtr
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
-from lscan.stripe.api import on_integers
+from lscan.stripe.api import along_the_line, on_integers
 from lscan.stripe.peaks import crests, line_width, medians, pieces, windows
 from lscan.stripe.picture import line_noise, stated_noise
 
@@ -27,6 +27,7 @@ _STEEPEST = 0.1
 line has no one crossing with it."""
 
 
+@along_the_line
 @on_integers
 def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line where the ridge of the smoothed picture crosses each column.

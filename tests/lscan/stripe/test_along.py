@@ -141,7 +141,7 @@ def test_noise_that_is_stated_does_not_hide_errors_that_neighbours_share():
     assert sigma[1] == pytest.approx(sigma[0], rel=0.15)
 
 
-@pytest.mark.parametrize("name", ["centroid-relative", "gaussian", "ml"])
+@pytest.mark.parametrize("name", ["centroid-relative", "gaussian", "ml", "steger"])
 def test_noise_stated_too_small_does_not_make_the_line_surer(name: str) -> None:
     """Speckle of 0.4 where another rig's 0.05 and a tenth of its other noise are stated."""
     ratios = []
