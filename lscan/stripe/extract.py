@@ -485,7 +485,9 @@ def _light(
         dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
         taken_off.append(dark.grey)
         grey, clipped = lit.grey.astype(np.int16) - dark.grey, lit.clipped & ~dark.clipped
-        lit = replace(lit, grey=grey, clipped=clipped)
+        # The target's edges, which shift the laser's light too, show in the background alone.
+        others = dark.grey if lit.others is None else lit.others
+        lit = replace(lit, grey=grey, clipped=clipped, others=others)
     for other in taken_off:
         if settings.noise is not None:
             both = difference_noise(settings.noise, float(other.mean()))

@@ -31,6 +31,7 @@ def fake_rig(
             "options": {"seed": 3},
         },
         "track": {"driver": "fake"},
+        "stripe": {"extractor": "centroid-relative"},
         "plan": {"frames": frames, "start_mm": 1.0, "step_mm": 0.1, **plan},
         "water": {"salinity_psu": 0.1, "layers": [[0, 1.5], [1, 2.5]]},
     }
