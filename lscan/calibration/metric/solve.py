@@ -82,13 +82,12 @@ def oblong_pixels(
         if square_px < BETTER * shaped_px:
             if left_px < BETTER * square_px:
                 return ""
-            port = ", ".join(
-                f"{name} = {boards.theta[CAMERA.index(name)]:.3g}" for name in ANY_PORT
-            )
+            theta = dict(zip(CAMERA, boards.theta, strict=False))
+            port = ", ".join(f"{name} = {theta[name]:.3g}" for name in ANY_PORT)
             return (
-                f"the port is not as [optics] states it: the marks fit to {left_px:.2f} px rms, and "
-                f"to {square_px:.2f} px with about {port}; measure it, and state what you find with "
-                "its uncertainty"
+                f"the port is not as [optics] states it: the marks fit to {left_px:.2f} px rms, "
+                f"and to {square_px:.2f} px with about {port}; measure it, and state what you find "
+                "with its uncertainty"
             )
     width, height = image_size
     return (

@@ -34,6 +34,8 @@ LENS = {
     "gap_mm": (10.0, 0.0),
     "thickness_mm": (6.0, 0.0),
     "glass_index": (1.49, 0.0),
+    "tilt_x_deg": (0.0, 0.0),
+    "tilt_y_deg": (0.0, 0.0),
 }
 VIEW = View(n_water=refractive_index(20.0, 0.0, 650.0))
 POINTS = np.array([[50.0, -50.0], [225, -200], [300, -300], [100, -350], [400, -100]])

@@ -12,6 +12,7 @@ from lscan.camera.posedboards import CAMERA
 from lscan.errors import MeasurementError
 
 NOISE_PX = 0.03
+TILTS = ("tilt_x_deg", "tilt_y_deg")
 
 
 def squeezed(height: float, water: bool, noise_px: float = NOISE_PX) -> list[CalibrationView]:
@@ -50,7 +51,7 @@ def test_a_tilted_window_is_no_oblong_pixel(tilt: float, slab_mm: float) -> None
     port = replace(square.camera.port, tilt_x_deg=tilt, thickness_mm=slab_mm)
     rig, rng = replace(square, camera=replace(square.camera, port=port)), np.random.default_rng(3)
     views = [with_noise(view, NOISE_PX, rng) for view in views_of(rig, poses(rig, rng, 9))]
-    exactly = known(rig).model_copy(update={"tilt_x_deg": (0.0, 0.0), "tilt_y_deg": (0.0, 0.0)})
+    exactly = known(rig).model_copy(update=dict.fromkeys(TILTS, (0.0, 0.0)))
     with pytest.raises(MeasurementError, match=r"port is not as .*tilt_x_deg = "):
         calibrate_metric(views, exactly, SIZE)
     solved = calibrate_metric(views, known(rig), SIZE)
