@@ -185,10 +185,8 @@ def carried_ratios(route: Route, statement: Statement, rigs: int, seed: int) -> 
         for at, water in enumerate(WATERS):
             there = in_water_of(solved, stated_optics((rng.normal(water, SIGMA), SIGMA)))
             assert isinstance(there, PhysicalMap)
-            true = places
-            if route == "metric":  # lengths are the same in any frame
-                true = places
-            found[number, at] = length_ratios(there, rig.seen_px(places, water), true, rng)[0]
+            ratios = length_ratios(there, rig.seen_px(places, water), places, rng)
+            found[number, at] = ratios[0]
     return found
 
 
@@ -205,5 +203,12 @@ def water_interval_rows(rigs: int = 20, seed: int = 1) -> Iterator[Row]:
             ratios = np.abs(carried_ratios(route, statement, rigs, seed))
             share = float(np.mean(ratios <= COVER))
             words = {"name": route, "statement": statement, "rigs": rigs, "seed": seed}
-            yield row("carried-lengths", band_miss_percent(share), percent=100 * share, **words)
+            chance = 100 * np.sqrt(0.95 * 0.05 / rigs)
+            yield row(
+                "carried-lengths",
+                band_miss_percent(share),
+                percent=100 * share,
+                chance=chance,
+                **words,
+            )
             yield row("carried-worst", float(ratios.max()), **words)
