@@ -7,7 +7,7 @@ sheet through other water.  What is counted is how often a length lies in its 95
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -202,13 +202,9 @@ def water_interval_rows(rigs: int = 20, seed: int = 1) -> Iterator[Row]:
         for statement in STATEMENTS:
             ratios = np.abs(carried_ratios(route, statement, rigs, seed))
             share = float(np.mean(ratios <= COVER))
-            words = {"name": route, "statement": statement, "rigs": rigs, "seed": seed}
-            chance = 100 * np.sqrt(0.95 * 0.05 / rigs)
-            yield row(
-                "carried-lengths",
-                band_miss_percent(share),
-                percent=100 * share,
-                chance=chance,
-                **words,
-            )
+            words: dict[str, Any] = {
+                "name": route, "statement": statement, "rigs": rigs, "seed": seed,
+                "chance": 100 * np.sqrt(0.95 * 0.05 / rigs), "percent": 100 * share,
+            }  # fmt: skip
+            yield row("carried-lengths", band_miss_percent(share), **words)
             yield row("carried-worst", float(ratios.max()), **words)
