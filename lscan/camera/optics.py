@@ -503,7 +503,10 @@ OF_MEDIUM = (
 """What an [optics] says of port and water."""
 
 FORMULA_SIGMA = 1.5e-5  # Quan & Fry 1995, what their formula leaves of the data
-MPA_PER_M = 0.0101  # of sea water; fresh water's 3 % less changes the index by 4e-6 in 100 m
+MPA_PER_M = 0.0101  # of sea water; in fresh water 3 % less
+RISE_SIGMA = (0.03, 0.06)
+"""Of the rise of the index with depth, in fresh water and of 35 psu: fresh water's pressure is 3 %
+less than MPA_PER_M has it, and sea water's index rises by 4 to 6 % less than fresh water's."""
 
 
 def stated_water(optics: OpticsSection) -> Known | None:
@@ -536,6 +539,9 @@ def stated_water(optics: OpticsSection) -> Known | None:
         step[place] = 0.1 if value < most[place] - 0.1 else -0.1
         derivative = (_index(mean + step, optics.wavelength_nm) - index) / step[place]
         variance += (derivative * sigma) ** 2
+    fresh, sea = RISE_SIGMA
+    rise = index - _index(mean * [1.0, 1.0, 0.0], optics.wavelength_nm)
+    variance += (rise * (fresh + (sea - fresh) * mean[1] / SALINITY_PSU[1])) ** 2
     return index, float(np.sqrt(variance))
 
 
