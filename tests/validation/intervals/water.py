@@ -31,10 +31,11 @@ TILT_DEG = 2.0  # what [optics] says where it is not stated
 UNKNOWN: Known = (1.333, 0.003)  # likewise of the water
 SIGMA = 2e-4  # of an index that was measured, by two degrees or a psu
 WATERS = (1.3313, 1.3327, 1.3360, 1.3390)  # fresh of 20 and 5 C, brackish, sea
-STATEMENTS = ("measured", "vague", "none")
 VIEWS = 9
 Statement = Literal["measured", "vague", "none"]
 Route = Literal["refractive", "metric"]
+ROUTES: tuple[Route, ...] = ("refractive", "metric")
+STATEMENTS: tuple[Statement, ...] = ("measured", "vague", "none")
 
 
 @dataclass(frozen=True)
@@ -83,10 +84,10 @@ def stated_optics(water: Known | None) -> OpticsSection:
     ----------
     water : tuple of float or None, index and its standard uncertainty
     """
-    said = {} if water is None else {"water_index": water}
     return OpticsSection(
-        focal_px=FOCAL_PX, gap_mm=GAP_MM, thickness_mm=GLASS_MM, glass_index=GLASS, **said
-    )
+        focal_px=FOCAL_PX, gap_mm=GAP_MM, thickness_mm=GLASS_MM, glass_index=GLASS,
+        water_index=water,
+    )  # fmt: skip
 
 
 def solved_map(
@@ -198,7 +199,7 @@ def water_interval_rows(rigs: int = 20, seed: int = 1) -> Iterator[Row]:
     rigs : int, of each route and statement
     seed : int, of the draws
     """
-    for route in ("refractive", "metric"):
+    for route in ROUTES:
         for statement in STATEMENTS:
             ratios = np.abs(carried_ratios(route, statement, rigs, seed))
             share = float(np.mean(ratios <= COVER))
