@@ -321,8 +321,8 @@ class SheetCorrection(Strict):
         own[:, :, 0] = -factor * self.scale_sigma * arm
         own[:, [0, 1], [1, 2]] = factor * self.shift_sigma_mm
         variance = factor**2 * estimate.variance_mm2 + (own**2).sum(axis=2)
-        if (modes := estimate.modes_mm) is not None:
-            modes = np.concatenate([factor * modes, own], axis=2)
+        before = own[:, :, :0] if estimate.modes_mm is None else factor * estimate.modes_mm
+        modes = np.concatenate([before, own], axis=2)  # what it adds, all points have in common
         return Estimate(self.middle_mm + arm, variance, modes)
 
 
