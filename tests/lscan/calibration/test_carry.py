@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from lscan.calibration.calibrate import calibrate
 from lscan.calibration.calibrationfile import load_plane_map, save_calibration
-from lscan.calibration.check import map_for_rig
+from lscan.calibration.check import kept_for_want_of_water, map_for_rig
 from lscan.calibration.maps.refractive import Refractive
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.metric.solve import calibrate_metric
@@ -304,6 +304,23 @@ def test_maps_without_physics_are_refused(name: str) -> None:
         map_for_rig(flat, changed)
     nothing = changed.model_copy(update={"since_calibration": SinceSection()})
     assert map_for_rig(flat, nothing) is flat
+
+
+@pytest.mark.parametrize("name", ["graticule-2", "polynomial-3"])
+def test_a_map_that_knows_no_water_says_what_another_would_do(name: str) -> None:
+    """Calibrated without a word of the water: in the sea a length is open by the two indices."""
+    solved = find_solver(name).solve(read_board(BOARD, VIEW.project))
+    sea = in_water(10.0, 35.0)
+    before, after = (
+        there.to_plane(VIEW.project(ENDS)) for there in (solved, map_for_rig(solved, sea))
+    )
+    np.testing.assert_allclose(after.xz_mm, before.xz_mm, atol=1e-9)
+    assert after.modes_mm is not None
+    off = np.hypot(refractive_index(10.0, 35.0, 650.0) - 1.333, 0.003) / 1.333
+    length = np.linalg.norm(after.modes_mm[1, 0, -3:] - after.modes_mm[0, 0, -3:])
+    assert length == pytest.approx(250.0 * off, rel=0.01)
+    assert "does not say in which water" in kept_for_want_of_water(solved, sea.optics)
+    assert kept_for_want_of_water(solved, OpticsSection()) == ""
 
 
 def test_a_map_whose_origin_sees_no_sheet_is_refused(metric: Metric) -> None:
