@@ -35,10 +35,12 @@ from lscan.calibration.fields import (
     Vector,
     check_theta,
 )
+from lscan.calibration.maps.auto import with_chosen
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
 from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
 from lscan.calibration.planemap import PlaneMap, find_solver
+from lscan.camera.optics import stated_port
 from lscan.camera.posedboards import CAMERA, COUNT
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
@@ -507,6 +509,8 @@ def _plane_map(content: CalibrationFile | MetricFile, path: Path) -> PlaneMap:
     """The map of the parameters; InputError where they make none."""
     with np.errstate(all="ignore"):
         try:
-            return find_solver(content.plane_map).restore(content.parameters)
+            plane_map = find_solver(content.plane_map).restore(content.parameters)
         except InputError as error:
             raise InputError(f"plane_map: {error}", where=path) from error
+    port = {"stated_port": stated_port(content.optics)}  # older files' maps do not say it
+    return with_chosen(plane_map, lambda solved: solved.model_copy(update=port))

@@ -10,7 +10,7 @@ Residuals count by their covariance: each mark's own uncertainty, and the errors
 calibration gives to all marks in common.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -19,7 +19,7 @@ from scipy.special import chdtrc, ndtr
 
 from lscan.calibration.calibrate import Calibration, ScreenedReading, calibration_by
 from lscan.calibration.calibrationfile import AnyCalibration
-from lscan.calibration.maps.auto import Auto
+from lscan.calibration.maps.auto import Auto, with_chosen
 from lscan.calibration.marks import all_marks, found_marks
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.offsheet import Similarity, fit_similarity
@@ -31,7 +31,7 @@ from lscan.calibration.planemap import (
     SheetCorrection,
     SolvedMap,
 )
-from lscan.camera.optics import stated_water
+from lscan.camera.optics import UNKNOWN_WATER, stated_port, stated_water
 from lscan.camera.posedboards import LIMITS, WATER
 from lscan.config.rig import OpticsSection, Rig, SinceSection
 from lscan.errors import InputError, MeasurementError
@@ -61,10 +61,12 @@ class FoundIndex:
 
 def find_index(
     plane_map: PhysicalMap, nominal_mm: Floats, image_px: Floats, sigma_px: Floats
-) -> FoundIndex:
+) -> tuple[FoundIndex, PhysicalMap]:
     """The index by generalised least squares, with a shift and a turn of the board beside it.
 
-    It is sought within the camera's LIMITS.
+    It is sought within the camera's LIMITS.  The map in that water comes with it, whose modes know
+    which errors of the old calibration the index has taken up: lengths may be known well where the
+    index is not.
 
     Parameters
     ----------
@@ -73,20 +75,23 @@ def find_index(
     image_px : (N, 2) array, px, of (u, v), where the new picture has them
     sigma_px : (N,) array, px, standard uncertainties of those
     """
-    index, sigma, chi_square = float(plane_map.geometry.theta[WATER]), np.inf, np.inf
+    index = float(plane_map.geometry.theta[WATER])
     least, most = LIMITS["water_index"]
     for _ in range(ROUNDS):
         index = float(np.clip(index, least + INDEX_STEP, most - INDEX_STEP))
-        points = plane_map.in_water((index, 0.0)).to_plane(image_px, sigma_px)
+        there = plane_map.in_water((index, 0.0))
+        points = there.to_plane(image_px, sigma_px)
         above, below = (
             plane_map.in_water((index + step, 0.0)).locate(image_px)
             for step in (INDEX_STEP, -INDEX_STEP)
         )
         missed = (below - above) / (2 * INDEX_STEP)  # where the index is a unit more than taken
         fit = fit_similarity(nominal_mm, points.xz_mm, points.sigma_mm, points.modes_mm, missed)
-        index, sigma = index + fit.scale, float(np.sqrt(fit.covariance[3, 3]))
-        chi_square = fit.chi_square
-    return FoundIndex(float(np.clip(index, least, most)), sigma, chi_square)
+        index += fit.scale
+    variance = float(fit.covariance[3, 3])
+    alone = np.sqrt(max(0.0, variance - float(fit.of_modes @ fit.of_modes)))
+    found = FoundIndex(float(np.clip(index, least, most)), np.sqrt(variance), fit.chi_square)
+    return found, there.with_index_error(fit.of_modes, alone)
 
 
 # A plane map carried from the rig it was calibrated on to the rig of a scan.
@@ -120,8 +125,10 @@ def map_for_rig(plane_map: PlaneMap, rig: Rig) -> PlaneMap:
 def in_water_of(plane_map: PlaneMap, optics: OpticsSection) -> PlaneMap:
     """The map for pictures taken in the water that an [optics] states, and its uncertainty.
 
-    The same map where the calibration's own rig stated that water, and where none is stated.  A map
-    that does not know the physics also stays where the two indices agree within SAME_INDEX.
+    The same map where the calibration's own rig stated that water, and where none is stated.
+    Where the calibration stated none, its map stays as it is, for nobody knows whether this is
+    another water, and what another water would do is in its uncertainty.  So does a map that does
+    not know the physics where the two indices agree within SAME_INDEX.
 
     Parameters
     ----------
@@ -131,40 +138,68 @@ def in_water_of(plane_map: PlaneMap, optics: OpticsSection) -> PlaneMap:
     Raises
     ------
     InputError
-        For a map that does not know the physics.
+        For a map that does not know the physics, and where calibration and rig state different
+        ports.
     """
     return with_chosen(plane_map, lambda solved: _in_stated_water(solved, optics))
 
 
-def with_chosen(plane_map: PlaneMap, change: Callable[[SolvedMap], SolvedMap]) -> PlaneMap:
-    """A plane map changed; of ``auto`` the map that was chosen.
-
-    A map of another package stays as it is: it answers for itself.
-
-    Parameters
-    ----------
-    plane_map : PlaneMap, of any family
-    change : callable, of a solved map
-    """
-    if isinstance(plane_map, Auto):
-        return replace(plane_map, chosen=with_chosen(plane_map.chosen, change))
-    return change(plane_map) if isinstance(plane_map, SolvedMap) else plane_map
-
-
 def _in_stated_water(solved: SolvedMap, optics: OpticsSection) -> SolvedMap:
+    _require_same_port(solved, optics)
     water, own = stated_water(optics), solved.stated_water
     if water is None or water == own or optics.port == "none":
         return solved
     if isinstance(solved, PhysicalMap):
-        return solved if solved.geometry.port == "none" else solved.in_water(water)
-    # Where the calibration stated none, nobody knows whether it is another water.
-    if own is None or abs(water[0] - own[0]) <= SAME_INDEX:
+        return solved.beside_water(water) if own is None else solved.in_water(water)
+    index, sigma = own or UNKNOWN_WATER
+    differs = float(np.hypot(np.hypot(water[0] - index, water[1]), sigma))
+    if own is not None and differs <= SAME_INDEX:
         return solved
+    if own is None or abs(water[0] - index) <= SAME_INDEX:
+        # Behind a flat port lengths go inversely with the index, but for the air before the glass.
+        middle = solved.points(solved.region.outline_px.mean(axis=0)[None])[0]
+        unsure = SheetCorrection(middle_mm=middle, scale_sigma=differs / index)
+        return solved.model_copy(update={"corrections": (*solved.corrections, unsure)})
     raise InputError(
         f"plane map {solved.name!r} cannot be carried to other water",
         where="optics",
         value=f"index {water[0]:.5f}, calibrated at {own[0]:.5f}",
         allowed=ALLOWED,
+    )
+
+
+def _require_same_port(solved: SolvedMap, optics: OpticsSection) -> None:
+    """Refuse a calibration in air for pictures through a port, and the reverse."""
+    stated, own = stated_port(optics), solved.stated_port
+    if isinstance(solved, PhysicalMap):
+        own = solved.geometry.port
+    if None not in (stated, own) and stated != own:
+        raise InputError(
+            "states another port than the calibration",
+            where="optics.port",
+            value=stated,
+            allowed=f'"{own}", as calibrated, or a calibration through this port (one made in air '
+            'through the window states port = "flat", water_index = [1.0, 0.0])',
+        )
+
+
+def kept_for_want_of_water(plane_map: PlaneMap, optics: OpticsSection) -> str:
+    """What a user should know of a map that is not carried to the water stated; "" where it is.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, as calibrated
+    optics : OpticsSection, of the scan's rig
+    """
+    solved, water = plane_map.chosen if isinstance(plane_map, Auto) else plane_map, None
+    if isinstance(solved, SolvedMap) and solved.stated_water is None and optics.port == "flat":
+        water = stated_water(optics)
+    if water is None:
+        return ""
+    return (
+        f"the calibration does not say in which water it was made: its map is not carried to that "
+        f"of index {water[0]:.4f} which the scan's [optics] states, and its uncertainty is that of "
+        "water that may be another; calibrate with temperature_c or water_index in [optics]"
     )
 
 
@@ -451,7 +486,7 @@ def _index(plane_map: PlaneMap, compared: ComparedMarks) -> FoundIndex | None:
     solved = plane_map.chosen if isinstance(plane_map, Auto) else plane_map
     if not isinstance(solved, PhysicalMap) or solved.geometry.port == "none":
         return None
-    return find_index(solved, compared.nominal_mm, compared.image_px, compared.sigma_px)
+    return find_index(solved, compared.nominal_mm, compared.image_px, compared.sigma_px)[0]
 
 
 def _reasons(
@@ -608,6 +643,5 @@ def _with_index(solved: SolvedMap, marks: ComparedMarks) -> SolvedMap:
         what = "this plane map has no index of the water to correct"
         allowed = '"scale" or "shift", or a refractive or metric map behind a port'
         raise InputError(what, where="plane map", value=solved.name, allowed=allowed)
-    found = find_index(solved, marks.nominal_mm, marks.image_px, marks.sigma_px)
-    moved = solved.in_water((found.index, found.sigma))
-    return moved.model_copy(update={"stated_water": solved.stated_water})
+    _, there = find_index(solved, marks.nominal_mm, marks.image_px, marks.sigma_px)
+    return there.model_copy(update={"stated_water": solved.stated_water})

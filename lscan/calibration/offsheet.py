@@ -67,6 +67,7 @@ class Similarity:
     motion : Motion, mm and rad
     scale : float, lengths after over lengths before, less 1
     covariance : (4, 4) array, of the shift's x and z in mm, of the turn in rad, and of the scale
+    of_modes : (M,) array, by how much one standard deviation of each mode puts the scale off
     chi_square : float, of what motion and scale leave
     degrees_of_freedom : int, of chi_square
     """
@@ -74,6 +75,7 @@ class Similarity:
     motion: Motion
     scale: float
     covariance: Floats
+    of_modes: Floats
     chi_square: float
     degrees_of_freedom: int
 
@@ -145,6 +147,7 @@ def fit_similarity(
         motion=Motion(start.centre_mm, start.shift_mm + found[:2], start.turn_rad + found[2]),
         scale=float(found[3]),
         covariance=inverse[:4] @ inverse[:4].T,
+        of_modes=inverse[3] @ square[: len(rows)].T @ rows[:, 4:],
         chi_square=float(rest @ rest),
         degrees_of_freedom=2 * len(near) - 4,
     )

@@ -13,12 +13,19 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander, chebvander2d
 from pydantic import PrivateAttr
 
+from lscan.calibration.fields import Matrix, Number
 from lscan.calibration.marks import Region
 from lscan.calibration.planemap import Estimate, SolvedMap, estimate_of
 from lscan.camera import rays
-from lscan.camera.optics import meet_plane
+from lscan.camera.optics import UNKNOWN_WATER, meet_plane
 from lscan.camera.posedboards import CAMERA, PortKind, camera_of, rotation
-from lscan.camera.resection import MODE_STEP, pixel_derivatives
+from lscan.camera.resection import (
+    MODE_STEP,
+    Locate,
+    displacements,
+    ordered_modes,
+    pixel_derivatives,
+)
 from lscan.config.documents import check
 from lscan.config.rig import Known, SinceSection
 from lscan.records import BoardReading, Floats, Marks
@@ -168,9 +175,24 @@ class SheetGeometry:
         return replace(self, theta=theta)
 
 
-class PhysicalMap(SolvedMap):
-    """Base of the maps that are a camera behind a port, or in air, and the sheet before it."""
+INDEX_STEP = 1e-5  # for differences by the water's index: 0.01 px, of rounding of 1e-9
 
+
+class PhysicalMap(SolvedMap):
+    """Base of the maps that are a camera behind a port, or in air, and the sheet before it.
+
+    Attributes
+    ----------
+    theta : dict of float, camera, port and what else there is, by name
+    modes : (K, M) array, the covariance of ``vector`` is modes @ modes.T
+    all_modes : bool, whether the modes are all there are.  Older files hold those alone that move
+        the map as it is, and do not say so
+    """
+
+    theta: dict[str, Number]
+    modes: Matrix
+    all_modes: bool = False
+    _ordered: tuple[Floats, int] | None = PrivateAttr(None)
     _since: SinceSection | None = PrivateAttr(None)
     _tables: tuple[PixelTable | None, PixelTable | None] | None = PrivateAttr(None)
     """Of the pixel's and of the errors' displacements, which all pictures of a scan ask for."""
@@ -180,19 +202,113 @@ class PhysicalMap(SolvedMap):
     def geometry(self) -> SheetGeometry:
         """Camera and sheet."""
 
+    @property
     @abstractmethod
+    def vector(self) -> Floats:
+        """(K,) the parameters that have errors, theta first."""
+
+    @abstractmethod
+    def map_of(self, vector: Floats) -> Locate:
+        """The map of other parameters.
+
+        Parameters
+        ----------
+        vector : (K,) array, as ``vector``
+        """
+
+    @abstractmethod
+    def vector_in_water(self, vector: Floats, index: float) -> Floats:
+        """(K,) parameters of the same rig, where it is in space, in water of another index.
+
+        Parameters
+        ----------
+        vector : (K,) array, as ``vector``
+        index : float, of the water, relative to air
+        """
+
+    @abstractmethod
+    def _fields_of(self, vector: Floats) -> dict[str, Any]:
+        """The fields that hold parameters."""
+
+    @property
+    def _water_sigma(self) -> float:
+        """Of the index in the water of the calibration; as stated where its modes are not kept."""
+        if self.all_modes:
+            return float(np.linalg.norm(self.modes[list(self.theta).index("water_index")]))
+        return (self.stated_water or UNKNOWN_WATER)[1]
+
+    def _by_index(self, index: float) -> Floats:
+        """(K,) how the parameters change with the index of the water about the rig."""
+        above, below = (
+            self.vector_in_water(self.vector, index + step) for step in (INDEX_STEP, -INDEX_STEP)
+        )
+        return (above - below) / (2 * INDEX_STEP)
+
     def in_water(self, known: Known) -> Self:
         """The map of the same rig in water of another index.
 
         Camera, port and sheet stay where they are in space: a sheet is not displaced by the water
-        where it leaves its own window squarely.
+        where it leaves its own window squarely.  All that is uncertain of them counts, also what
+        does not move the map in the water of the calibration: a focal length too long beside an
+        index too low shows in other water alone.  An older file does not hold that; the uncertainty
+        of the calibration's water, along which most of it lies, stands in for it.
 
         Parameters
         ----------
         known : tuple of float, index of the water relative to air, and its standard uncertainty
         """
+        index, sigma = known
+        fields = self._fields_of(self.vector_in_water(self.vector, index))
+        there = self._with_fields(**fields, stated_water=known)
+        ways = [
+            self.vector_in_water(self.vector + mode, index)
+            - self.vector_in_water(self.vector - mode, index)
+            for mode in MODE_STEP * self.modes.T
+        ]
+        lost = 0.0 if self.all_modes else self._water_sigma
+        by_index = np.hypot(sigma, lost) * self._by_index(index)
+        modes = np.column_stack([*(way / (2 * MODE_STEP) for way in ways), by_index])
+        return there._with_fields(modes=modes)
 
-    @abstractmethod
+    def beside_water(self, known: Known) -> Self:
+        """The map as it is, with the error that it has where the water is another than its own.
+
+        For a calibration that states no water.  Whether it was made in this water nobody knows;
+        if not, the map errs by the difference of the two indices, of which the rms is stated.
+
+        Parameters
+        ----------
+        known : tuple of float, index of the water relative to air, and its standard uncertainty
+        """
+        own = self.theta["water_index"]
+        differs = np.sqrt((known[0] - own) ** 2 + known[1] ** 2 + self._water_sigma**2)
+        return self._with_fields(modes=np.column_stack([self.modes, differs * self._by_index(own)]))
+
+    def with_index_error(self, of_modes: Floats, sigma: float) -> Self:
+        """The map in water whose index was found by this map.
+
+        Parameters
+        ----------
+        of_modes : (P,) array, by how much one standard deviation of each of ``error_modes``, or of
+            the first of them, puts the index off
+        sigma : float, standard uncertainty of the index from all other causes
+        """
+        modes, count = self._modes_by_effect()
+        by_index = self._by_index(self.theta["water_index"])
+        shared = np.zeros(modes.shape[1])
+        shared[:count] = of_modes[:count]
+        other = np.hypot(sigma, np.linalg.norm(of_modes[count:]))
+        modes = np.column_stack([modes + np.outer(by_index, shared), other * by_index])
+        return self._with_fields(modes=modes)
+
+    def _modes_by_effect(self) -> tuple[Floats, int]:
+        """``ordered_modes`` on the region's outline and half-way to its middle."""
+        if self._ordered is None:
+            corners = self.region.outline_px
+            places = np.vstack([corners, (corners + corners.mean(axis=0)) / 2])
+            self._ordered = ordered_modes(self.map_of, self.vector, self.modes, places)
+        return self._ordered
+
     def error_modes(self, image_px: Floats) -> Floats:
         """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
 
@@ -200,6 +316,8 @@ class PhysicalMap(SolvedMap):
         ----------
         image_px : (N, 2) array, px, of (u, v)
         """
+        modes, count = self._modes_by_effect()
+        return displacements(self.map_of, self.vector, modes[:, :count], image_px)
 
     def estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """Points of covered pixels.
@@ -258,7 +376,7 @@ class PhysicalMap(SolvedMap):
         return changed
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy, as pydantic makes it, without the tables of the old fields.
+        """A copy, as pydantic makes it, without what was computed from the old fields.
 
         Parameters
         ----------
@@ -266,7 +384,7 @@ class PhysicalMap(SolvedMap):
         deep : bool, whether the fields are copied too
         """
         other = super().model_copy(update=update, deep=deep)
-        other._tables = None
+        other._tables = other._ordered = None
         return other
 
     def _with_fields(self, **fields: Any) -> Self:

@@ -14,7 +14,8 @@ from pydantic import Field, PrivateAttr
 
 from lscan.calibration.fields import NotNegative, Number, Pair, Place
 from lscan.calibration.marks import Region, found_marks
-from lscan.camera.optics import require_columns, stated_water
+from lscan.camera.optics import require_columns, stated_port, stated_water
+from lscan.camera.posedboards import PortKind
 from lscan.config.documents import Strict, check
 from lscan.config.plugins import find_plugin
 from lscan.config.rig import OpticsSection
@@ -320,8 +321,8 @@ class SheetCorrection(Strict):
         own[:, :, 0] = -factor * self.scale_sigma * arm
         own[:, [0, 1], [1, 2]] = factor * self.shift_sigma_mm
         variance = factor**2 * estimate.variance_mm2 + (own**2).sum(axis=2)
-        if (modes := estimate.modes_mm) is not None:
-            modes = np.concatenate([factor * modes, own], axis=2)
+        before = own[:, :, :0] if estimate.modes_mm is None else factor * estimate.modes_mm
+        modes = np.concatenate([before, own], axis=2)  # what it adds, all points have in common
         return Estimate(self.middle_mm + arm, variance, modes)
 
 
@@ -337,12 +338,14 @@ class SolvedMap(Strict, ABC):
     lack_of_fit_mm : (2,) array, mm, standard uncertainty of x and z that noise does not account for
     stated_water : tuple of float or None, the water's index and its standard uncertainty as they
         were stated when the map was solved; None where they were not
+    stated_port : str or None, likewise of the port, "flat" or "none"; None in older files
     corrections : tuple of SheetCorrection, made to the points one after the other
     """
 
     region: Region
     lack_of_fit_mm: Pair
     stated_water: tuple[Number, NotNegative] | None = None
+    stated_port: PortKind | None = None
     corrections: tuple[SheetCorrection, ...] = ()
     _name: str = PrivateAttr("")
 
@@ -485,7 +488,7 @@ class MapSolver(ABC, Generic[Solved]):
             Where the marks found do not determine the map.
         """
         self.check_variant(variant)
-        return self._with_name_and_water(self.fit(reading, variant, optics), variant, optics)
+        return self._with_name(with_medium(self.fit(reading, variant, optics), optics), variant)
 
     def bare(
         self, reading: BoardReading, variant: str, optics: OpticsSection = NOTHING_KNOWN
@@ -506,7 +509,8 @@ class MapSolver(ABC, Generic[Solved]):
             As ``solve``.
         """
         self.check_variant(variant)
-        return self._with_name_and_water(self.fit_points(reading, variant, optics), variant, optics)
+        solved = self.fit_points(reading, variant, optics)
+        return self._with_name(with_medium(solved, optics), variant)
 
     def fit_points(self, reading: BoardReading, variant: str, optics: OpticsSection) -> Solved:
         """As ``fit``; a family whose uncertainty takes time of its own leaves it out.
@@ -547,13 +551,21 @@ class MapSolver(ABC, Generic[Solved]):
         read = check(self.model, parameters, where=None, prefix="parameters")
         return self._with_name(read, variant)
 
-    def _with_name_and_water(self, solved: Solved, variant: str, optics: OpticsSection) -> Solved:
-        water = stated_water(optics)
-        return self._with_name(solved.model_copy(update={"stated_water": water}), variant)
-
     def _with_name(self, solved: Solved, variant: str) -> Solved:
         solved._name = full_name(self.family, variant)
         return solved
+
+
+def with_medium(solved: Solved, optics: OpticsSection) -> Solved:
+    """The map with the water and the port that it was solved for, as they were stated.
+
+    Parameters
+    ----------
+    solved : SolvedMap, of any family
+    optics : OpticsSection, what was known of the camera beforehand
+    """
+    medium = {"stated_water": stated_water(optics), "stated_port": stated_port(optics)}
+    return solved.model_copy(update=medium)
 
 
 def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:

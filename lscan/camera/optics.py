@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -495,8 +496,17 @@ def require_columns(array: Floats, name: str, columns: int) -> Floats:
 UNKNOWN_WATER: Known = (1.333, 0.003)
 """Fresh or sea water of 0 to 30 C at 650 nm lies within 2.1 of these standard uncertainties."""
 
+OF_MEDIUM = (
+    "port", "gap_mm", "thickness_mm", "glass_index", "tilt_x_deg", "tilt_y_deg", "water_index",
+    "temperature_c",
+)  # fmt: skip
+"""What an [optics] says of port and water."""
+
 FORMULA_SIGMA = 1.5e-5  # Quan & Fry 1995, what their formula leaves of the data
-MPA_PER_M = 0.0101  # of sea water; fresh water's 3 % less changes the index by 4e-6 in 100 m
+MPA_PER_M = 0.0101  # of sea water; in fresh water 3 % less
+RISE_SIGMA = (0.03, 0.06)
+"""Of the rise of the index with depth, in fresh water and of 35 psu: fresh water's pressure is 3 %
+less than MPA_PER_M has it, and sea water's index rises by 4 to 6 % less than fresh water's."""
 
 
 def stated_water(optics: OpticsSection) -> Known | None:
@@ -529,7 +539,24 @@ def stated_water(optics: OpticsSection) -> Known | None:
         step[place] = 0.1 if value < most[place] - 0.1 else -0.1
         derivative = (_index(mean + step, optics.wavelength_nm) - index) / step[place]
         variance += (derivative * sigma) ** 2
+    fresh, sea = RISE_SIGMA
+    rise = index - _index(mean * [1.0, 1.0, 0.0], optics.wavelength_nm)
+    variance += (rise * (fresh + (sea - fresh) * mean[1] / SALINITY_PSU[1])) ** 2
     return index, float(np.sqrt(variance))
+
+
+def stated_port(optics: OpticsSection) -> Literal["flat", "none"] | None:
+    """The kind of port that an [optics] states; None where it says nothing of port or water.
+
+    A flat port is what is taken where nothing is said, and no statement.
+
+    Parameters
+    ----------
+    optics : OpticsSection, of a rig or of a calibration
+    """
+    silent = OpticsSection()
+    said = any(getattr(optics, name) != getattr(silent, name) for name in OF_MEDIUM)
+    return optics.port if said else None
 
 
 def _index(state: np.ndarray, wavelength_nm: float) -> float:

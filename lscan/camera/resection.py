@@ -26,7 +26,9 @@ from lscan.records import Floats, Ints, Mask, select
 
 # The covariance of fitted parameters, and the modes of error that it gives to a map.
 
-KEPT = 0.9999  # of the variance that the stored modes must account for
+KEPT = 0.9999  # of the variance that the modes in use must account for
+UNSEEN_PX = 1e-3  # rms that the others together may amount to: where a large mode, of another water
+# say, makes most of the variance, a small one still bends what is flat
 MODE_STEP = 0.01  # sigmas, for differences along a mode: rounding is 1e-9, curvature less
 PIXEL_STEP = 0.01  # px, for differences of a map by the pixel
 
@@ -71,13 +73,27 @@ def displacements(
     return moved
 
 
-def modes_that_matter(
-    map_of: Callable[[Floats], Locate], theta: Floats, root: Floats, image_px: Floats
-) -> Floats:
-    """(K, M) square root of a covariance, less what does not move the map.
+def compact_root(root: Floats) -> Floats:
+    """(K, K) square root of a covariance, or (K, P) where P is less.
 
-    The singular values of what the columns do to the points order them; those are kept that
-    together make KEPT of the variance there.
+    Parameters
+    ----------
+    root : (K, P) array, root @ root.T is the covariance
+    """
+    sigma = np.linalg.norm(root, axis=1, keepdims=True)
+    scaled = root / np.where(sigma > 0, sigma, 1.0)  # parameters of all units alike
+    u, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(sigma * (u * sizes))
+
+
+def ordered_modes(
+    map_of: Callable[[Floats], Locate], theta: Floats, root: Floats, image_px: Floats
+) -> tuple[Floats, int]:
+    """(K, P) square root of a covariance, what moves the map most first; how many columns do.
+
+    The singular values of what the columns do to the points order them.  The last of them count
+    for nothing there that leave KEPT of the variance and make less than UNSEEN_PX together; they
+    do count wherever the parameters are put to another use, as in other water.
 
     Parameters
     ----------
@@ -86,15 +102,15 @@ def modes_that_matter(
     root : (K, P) array, root @ root.T is their covariance
     image_px : (N, 2) array, px, (u, v) where it counts
     """
-    sigma = np.linalg.norm(root, axis=1, keepdims=True)
-    scaled = root / np.where(sigma > 0, sigma, 1.0)  # parameters of all units alike
-    u, sizes, _ = np.linalg.svd(scaled, full_matrices=False)
-    compact = sigma * (u * sizes)  # K columns at most, the same covariance
-    moved = displacements(map_of, theta, compact, image_px)
-    moved = moved[np.isfinite(moved).all(axis=(1, 2))].reshape(-1, compact.shape[1])
-    _, sizes, directions = np.linalg.svd(moved, full_matrices=False)
-    share = np.cumsum(sizes**2) / max(float(np.sum(sizes**2)), 1e-300)
-    return compact @ directions[: int(np.searchsorted(share, KEPT)) + 1].T
+    if not root.shape[1]:
+        return root, 0
+    moved = displacements(map_of, theta, root, image_px)
+    seen = np.isfinite(moved).all(axis=(1, 2))
+    by_pixel = pixel_derivatives(map_of(theta), image_px[seen])
+    _, sizes, directions = np.linalg.svd(moved[seen].reshape(-1, root.shape[1]))
+    rest = np.append(np.cumsum(sizes[::-1] ** 2)[::-1], 0.0)  # of the columns from each on
+    most = min((1 - KEPT) * rest[0], UNSEEN_PX**2 * np.nansum(by_pixel**2) / 2)
+    return root @ directions.T, max(1, int(np.argmax(rest <= most)))
 
 
 def pixel_derivatives(locate: Locate, image_px: Floats) -> Floats:

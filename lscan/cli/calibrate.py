@@ -19,7 +19,12 @@ from lscan.calibration.metric import solve as metric
 from lscan.calibration.metric.views import FittedView, load_views, read_views, write_overlays
 from lscan.camera.posedboards import CAMERA
 from lscan.cli.console import MAPS, Json, Trust, note, progress_bar, require_folders, show, table
-from lscan.cli.inputs import open_calibrated, parse_corrections, read_board_picture
+from lscan.cli.inputs import (
+    note_water,
+    open_calibrated,
+    parse_corrections,
+    read_board_picture,
+)
 from lscan.config.board import Board
 from lscan.config.documents import check as check_section, read_document
 from lscan.config.rig import inline_board
@@ -94,6 +99,7 @@ def check(
         raise typer.BadParameter("--correct needs --update FILE")
     loaded = files.load_any(calibration)
     reading, _, _, water = read_board_picture(picture, board, optics, seeds, channel, trust)
+    note_water(loaded.plane_map, water)
     found = checking.check_calibration(loaded, reading, level, placed, water)
     kinds = asked or checking.fitting_corrections(found)
     if update is not None and kinds:

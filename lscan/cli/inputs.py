@@ -13,7 +13,7 @@ from lscan.acquisition.run import Run, open_run
 from lscan.board import read_board
 from lscan.board.marks import FEWEST
 from lscan.calibration.calibrationfile import load_plane_map
-from lscan.calibration.check import CorrectionKind, map_for_rig
+from lscan.calibration.check import CorrectionKind, kept_for_want_of_water, map_for_rig
 from lscan.calibration.planemap import PlaneMap
 from lscan.cli.console import note, one_of
 from lscan.config.board import load_board
@@ -46,6 +46,7 @@ def open_calibrated(
         opened = replace(opened, rig_file=replace(opened.rig_file, rig=rig))
     plane_map, size = load_plane_map(calibration)
     require_size(rig.camera, size, calibration, opened.path)
+    note_water(plane_map, rig.optics)
     if len(opened) < rig.plan.frames:
         note(f"{run} holds {len(opened)} of {rig.plan.frames} frames")
     if rig.camera.driver == "opencv" and "gamma" not in rig.stripe.model_fields_set:
@@ -54,6 +55,12 @@ def open_calibrated(
             "up to two pixels late at edges; lscan devices RIG --test finds it, 1: it has none"
         )
     return opened, plane_map
+
+
+def note_water(plane_map: PlaneMap, optics: OpticsSection) -> None:
+    """Say of a map that it is not carried to the water stated, and why."""
+    if kept := kept_for_want_of_water(plane_map, optics):
+        note(kept)
 
 
 def parse_numbers(text: str, count: int) -> list[float] | None:
@@ -163,7 +170,10 @@ def plane_maps(
             what = "is of another size than the calibration's pictures"
             allowed = f"{size[0]} x {size[1]} px, as in {file}"
             raise InputError(what, where=where, value=shown, allowed=allowed)
-        maps.append(plane_map if rig is None else map_for_rig(plane_map, rig))
+        if rig is not None:
+            note_water(plane_map, rig.optics)
+            plane_map = map_for_rig(plane_map, rig)
+        maps.append(plane_map)
     return maps
 
 

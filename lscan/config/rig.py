@@ -153,8 +153,11 @@ class OpticsSection(Strict):
     gap_mm: air between pinhole and glass; thickness_mm, glass_index: the flat glass;
     water_index: what lies behind it, all indices relative to air; or, in its place, temperature_c
     and, where they are not 0, salinity_psu and depth_m, which give it at wavelength_nm.
-    tilt_x_deg, tilt_y_deg: the glass against the camera's axis.  port = "none": a camera in air
-    without a window.
+    tilt_x_deg, tilt_y_deg: the glass against the camera's axis, 2 degrees where they are not
+    given, for a window mounted by hand: a camera set square to it by eye within 3 degrees, a seal
+    that is 1 mm thinner on one side of 60 mm and a lens 1 degree askew in its case, each taken as
+    anywhere within its limits (GUM 4.3.7), make sqrt(3^2 + 1^2 + 1^2) / sqrt(3) = 1.9 degrees.
+    port = "none": a camera in air without a window.
     board_offset_mm, board_tilt_deg: standard uncertainties of how far the board lay off the
     laser sheet, and of its tilt against it about either axis: what alignment by eye leaves.
     """
@@ -175,8 +178,8 @@ class OpticsSection(Strict):
     salinity_psu: KnownSalinity | None = None
     depth_m: KnownDepth | None = None
     wavelength_nm: Annotated[float, Field(ge=400, le=700)] = 650.0
-    tilt_x_deg: KnownTilt = (0.0, 0.0)
-    tilt_y_deg: KnownTilt = (0.0, 0.0)
+    tilt_x_deg: KnownTilt = (0.0, 2.0)
+    tilt_y_deg: KnownTilt = (0.0, 2.0)
     board_offset_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
     board_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
 

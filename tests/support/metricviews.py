@@ -79,7 +79,7 @@ def paper_rig(water: bool = True) -> Rig:
 
 
 def known(rig: Rig, water_sigma: float = 0.0) -> OpticsSection:
-    """What a user knows of the rig: glass and water, and of the lens nothing at all.
+    """What a user knows of the rig: window and water, and of the lens nothing at all.
 
     The widths of what is not known are so large that they draw on nothing.
     """
@@ -93,6 +93,8 @@ def known(rig: Rig, water_sigma: float = 0.0) -> OpticsSection:
         thickness_mm=(port.thickness_mm, 0.0),
         glass_index=(port.glass_index, 0.0),
         water_index=(port.water_index, water_sigma),
+        tilt_x_deg=(port.tilt_x_deg, 0.0),
+        tilt_y_deg=(port.tilt_y_deg, 0.0),
     )
 
 

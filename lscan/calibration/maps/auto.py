@@ -6,7 +6,8 @@ solved from all marks: with as little misfit, it is the one that noise moves lea
 the fewest free numbers.  The map keeps the table of all scores.  No variants.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any, Self, cast
 
 from pydantic import model_validator
@@ -19,7 +20,7 @@ from lscan.calibration.calibrate import (
     try_maps,
     without_outliers,
 )
-from lscan.calibration.planemap import NOTHING_KNOWN, PlaneMap, find_solver
+from lscan.calibration.planemap import NOTHING_KNOWN, PlaneMap, SolvedMap, find_solver
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
@@ -84,6 +85,21 @@ class Auto:
             chosen=self.chosen.name, parameters=self.chosen.parameters(), scores=self.scores
         )
         return content.model_dump(mode="json", exclude={"scores": {"__all__": {"ms"}}})
+
+
+def with_chosen(plane_map: PlaneMap, change: Callable[[SolvedMap], SolvedMap]) -> PlaneMap:
+    """A plane map changed; of ``auto`` the map that was chosen.
+
+    A map of another package stays as it is: it answers for itself.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, of any family
+    change : callable, of a solved map
+    """
+    if isinstance(plane_map, Auto):
+        return replace(plane_map, chosen=with_chosen(plane_map.chosen, change))
+    return change(plane_map) if isinstance(plane_map, SolvedMap) else plane_map
 
 
 class AutoSolver:

@@ -6,7 +6,7 @@ no variants; what is known of lens and port beforehand comes from the rig's [opt
 """
 
 from functools import cached_property, partial
-from typing import Annotated, Self
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import AfterValidator, Field
@@ -17,19 +17,18 @@ from lscan.calibration.physical import PhysicalMap, SheetGeometry, change_modes,
 from lscan.calibration.planemap import MapSolver
 from lscan.camera.posedboards import CAMERA, POSE, CameraPriors, PortKind, PosedBoards, priors_of
 from lscan.camera.resection import (
-    MODE_STEP,
     MOST_EVALUATIONS,
     TOLERANCE,
     BoardMarks,
     CameraFit,
+    Locate,
     best_start,
-    displacements,
+    compact_root,
     fit_boards,
-    modes_that_matter,
     sound_marks,
     with_covariance,
 )
-from lscan.config.rig import Known, OpticsSection, SinceSection
+from lscan.config.rig import OpticsSection, SinceSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats, Mask, select
 
@@ -130,7 +129,6 @@ def _require_explained(view: PosedBoards, marks: BoardMarks, pitch_mm: float) ->
 # The map by ray tracing: lens, flat port and pose from one board picture, then Snell's law.
 
 
-INDEX_STEP = 1e-5  # for differences by the water's index: 0.01 px, of rounding of 1e-9
 K3 = CAMERA.index("k3")  # one picture does not determine it: 0, and not in the file
 NAMES = (*CAMERA[:K3], *CAMERA[K3 + 1 :], *POSE)
 COUNT = len(NAMES)
@@ -144,8 +142,7 @@ class Refractive(PhysicalMap):
     port : str, "flat", or "none" for a camera in air
     theta : dict of float, camera, port and pose, by name (NAMES)
     centre_mm : (2,) array, mm, the middle of the marks
-    modes : (19, M) array, the covariance of theta is modes @ modes.T, but for what does not move
-        the map
+    modes : (19, M) array, the covariance of theta is modes @ modes.T
     board_offset_mm : float, mm, standard uncertainty of the board's distance from the laser sheet
         at centre_mm
     board_tilt_deg : float, degrees, standard uncertainty of its tilt about x and about z
@@ -169,7 +166,7 @@ class Refractive(PhysicalMap):
     @cached_property
     def view(self) -> PosedBoards:
         """Camera, port and the one board."""
-        return self._view_of(np.array(list(self.theta.values())))
+        return self._view_of(self.vector)
 
     def _view_of(self, theta: Floats) -> PosedBoards:
         return PosedBoards(np.insert(theta, K3, 0.0), self.centre_mm, self.port)
@@ -182,33 +179,32 @@ class Refractive(PhysicalMap):
             view.theta[: len(CAMERA)], self.port, view.axes[0], view.places_mm[0], self.centre_mm
         )
 
-    def in_water(self, known: Known) -> Self:
-        """The map of the same rig in water of another index.
+    @property
+    def vector(self) -> Floats:
+        """(19,) theta."""
+        return np.array(list(self.theta.values()))
+
+    def map_of(self, vector: Floats) -> Locate:
+        """The map of other parameters.
 
         Parameters
         ----------
-        known : tuple of float, index of the water relative to air, and its standard uncertainty
+        vector : (19,) array, as ``vector``
         """
-        index, sigma = known
-        theta = np.array(list(self.theta.values()))
+        return self._view_of(vector).locate
 
-        def theta_in_water(theta: Floats, index: float) -> Floats:
-            return np.delete(self._view_of(theta).in_water(index).theta, K3)
+    def vector_in_water(self, vector: Floats, index: float) -> Floats:
+        """(19,) parameters of the same rig, where it is in space, in water of another index.
 
-        ways = [
-            (theta_in_water(theta + mode, index) - theta_in_water(theta - mode, index))
-            / (2 * MODE_STEP)
-            for mode in MODE_STEP * self.modes.T
-        ]
-        step = INDEX_STEP
-        by_index = (theta_in_water(theta, index + step) - theta_in_water(theta, index - step)) / (
-            2 * step
-        )
-        return self._with_fields(
-            theta=dict(zip(NAMES, theta_in_water(theta, index).tolist(), strict=True)),
-            modes=np.column_stack([*ways, sigma * by_index]),
-            stated_water=known,
-        )
+        Parameters
+        ----------
+        vector : (19,) array, as ``vector``
+        index : float, of the water, relative to air
+        """
+        return np.delete(self._view_of(vector).in_water(index).theta, K3)
+
+    def _fields_of(self, vector: Floats) -> dict[str, Any]:
+        return {"theta": dict(zip(NAMES, vector.tolist(), strict=True))}
 
     def error_modes(self, image_px: Floats) -> Floats:
         """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
@@ -217,13 +213,11 @@ class Refractive(PhysicalMap):
         ----------
         image_px : (N, 2) array, px, of (u, v)
         """
-        theta = np.array(list(self.theta.values()))
-        modes = displacements(lambda t: self._view_of(t).locate, theta, self.modes, image_px)
         beside = SinceSection(
             sheet_shift_mm=self.board_offset_mm, sheet_tilt_deg=self.board_tilt_deg
         )
         lying = change_modes(self.geometry, beside, image_px)
-        return np.concatenate([modes, lying], axis=2)
+        return np.concatenate([super().error_modes(image_px), lying], axis=2)
 
 
 class RefractiveSolver(MapSolver[Refractive]):
@@ -264,15 +258,10 @@ class RefractiveSolver(MapSolver[Refractive]):
         """
         fit = fit_view(reading, optics, self._start)
         solved, sound = _points_of(fit, reading, optics)
-        control_points = solved.view.project(sound.grid.board_mm[sound.grid.found])
         return solved.model_copy(
             update={
-                "modes": modes_that_matter(
-                    lambda t: solved._view_of(t).locate,
-                    np.delete(fit.boards.theta, K3),
-                    np.delete(fit.root, K3, axis=0),
-                    control_points,
-                ),
+                "modes": compact_root(np.delete(fit.root, K3, axis=0)),
+                "all_modes": True,
                 # The board's own marks do not show where the sheet is: judged without that.
                 "lack_of_fit_mm": unexplained_mm(solved, sound),
                 "board_offset_mm": optics.board_offset_mm,

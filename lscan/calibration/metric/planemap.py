@@ -7,9 +7,9 @@ that is not rolled against the horizon, x is horizontal.  Of a sheet that runs d
 seen almost edge on, z is the camera's upward direction laid into the sheet.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Annotated, NoReturn, Self
+from typing import Annotated, Any, NoReturn, Self
 
 import numpy as np
 from pydantic import AfterValidator, PrivateAttr, model_validator
@@ -21,8 +21,8 @@ from lscan.calibration.planemap import MapSolver, full_name
 from lscan.camera import project, rays
 from lscan.camera.optics import meet_plane
 from lscan.camera.posedboards import CAMERA, COUNT, WATER, PortKind, camera_of
-from lscan.camera.resection import Locate, displacements, modes_that_matter
-from lscan.config.rig import Known, OpticsSection
+from lscan.camera.resection import Locate, compact_root
+from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.records import BoardReading, Floats
 
@@ -47,15 +47,6 @@ class SheetView:
     port: PortKind
     q_per_mm: Floats
     origin_px: Floats
-
-    @property
-    def vector(self) -> Floats:
-        """(17,) theta and q as one vector."""
-        return np.concatenate([self.theta, self.q_per_mm])
-
-    def map_of(self, vector: Floats) -> Locate:
-        """The map of other parameters (17,)."""
-        return replace(self, theta=vector[:COUNT], q_per_mm=vector[COUNT:]).locate
 
     @property
     def axes(self) -> Floats:
@@ -102,6 +93,11 @@ class SheetView:
         return direction[:, [0, 2]] / direction[:, 1:2]
 
 
+def _with_origin(modes: Floats) -> Floats:
+    """Modes of 19 parameters; older files hold those of 17, with the origin exact."""
+    return np.pad(modes, ((0, 2), (0, 0))) if len(modes) == COUNT + 3 else modes
+
+
 class Metric(PhysicalMap):
     """A solved metric map.
 
@@ -111,8 +107,8 @@ class Metric(PhysicalMap):
     theta : dict of float, the camera, by name (parameters.CAMERA)
     q_per_mm : (3,) array, 1/mm; the sheet is the plane q . X = 1 of the camera frame
     origin_px : (2,) array, px, the pixel that sees the origin
-    modes : (17, M) array, the covariance of camera and sheet (theta, then q) is modes @ modes.T but
-        for what does not move the map
+    modes : (19, M) array, the covariance of camera, sheet and origin (theta, q, origin_px) is
+        modes @ modes.T; the origin is exact but in other water, where it stays the same point
     region : Region, px, where the map holds
     """
 
@@ -120,7 +116,7 @@ class Metric(PhysicalMap):
     theta: Annotated[dict[str, Number], AfterValidator(partial(check_theta, names=CAMERA))]
     q_per_mm: Annotated[Vector, of_length(3)]
     origin_px: Place
-    modes: Annotated[Matrix, of_length(COUNT + 3)]
+    modes: Annotated[Matrix, AfterValidator(_with_origin), of_length(COUNT + 5)]
     lack_of_fit_mm: Pair = np.zeros(2)  # not in older files: the modes account for all
     _name: str = PrivateAttr("metric")
 
@@ -133,8 +129,7 @@ class Metric(PhysicalMap):
     @cached_property
     def view(self) -> SheetView:
         """Camera and sheet."""
-        theta = np.array(list(self.theta.values()))
-        return SheetView(theta, self.port, self.q_per_mm, self.origin_px)
+        return self._view_of(self.vector)
 
     @cached_property
     def geometry(self) -> SheetGeometry:
@@ -143,38 +138,48 @@ class Metric(PhysicalMap):
         place = view.meet(view.origin_px[None])[0]
         return SheetGeometry(view.theta, self.port, view.axes, place, np.zeros(2))
 
-    def in_water(self, known: Known) -> Self:
-        """The map of the same rig in water of another index; its origin is the same point.
+    @property
+    def vector(self) -> Floats:
+        """(19,) theta, q_per_mm and origin_px."""
+        return np.concatenate([[*self.theta.values()], self.q_per_mm, self.origin_px])
+
+    def _view_of(self, vector: Floats) -> SheetView:
+        theta, q_per_mm, origin_px = np.split(vector, [COUNT, COUNT + 3])
+        return SheetView(theta, self.port, q_per_mm, origin_px)
+
+    def map_of(self, vector: Floats) -> Locate:
+        """The map of other parameters.
 
         Parameters
         ----------
-        known : tuple of float, index of the water relative to air, and its standard uncertainty
+        vector : (19,) array, as ``vector``
         """
-        index, sigma = known
-        theta = {**self.theta, "water_index": index}
-        camera = camera_of(np.array(list(theta.values())), self.port)
-        modes = np.column_stack([self.modes, np.zeros(len(self.modes))])
-        modes[WATER] = 0.0
-        modes[WATER, -1] = sigma
-        origin_px = project(camera, self.geometry.place_mm[None])[0]
-        return self._with_fields(theta=theta, origin_px=origin_px, modes=modes, stated_water=known)
+        return self._view_of(vector).locate
 
-    def error_modes(self, image_px: Floats) -> Floats:
-        """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
+    def vector_in_water(self, vector: Floats, index: float) -> Floats:
+        """(19,) parameters of the same rig, its origin the same point, in water of another index.
 
         Parameters
         ----------
-        image_px : (N, 2) array, px, of (u, v)
+        vector : (19,) array, as ``vector``
+        index : float, of the water, relative to air
         """
-        view = self.view
-        return displacements(view.map_of, view.vector, self.modes, image_px)
+        view, there = self._view_of(vector), vector.copy()
+        there[WATER] = index
+        there[-2:] = project(camera_of(there, self.port), view.meet(view.origin_px[None]))[0]
+        return there
+
+    def _fields_of(self, vector: Floats) -> dict[str, Any]:
+        view = self._view_of(vector)
+        return {
+            "theta": dict(zip(CAMERA, view.theta.tolist(), strict=True)),
+            "q_per_mm": view.q_per_mm,
+            "origin_px": view.origin_px,
+        }
 
 
 def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:
     """The map of a camera and a sheet.
-
-    Those directions of the covariance are kept that move the map on the region's outline or half
-    way to its middle.
 
     Parameters
     ----------
@@ -182,14 +187,13 @@ def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:
     root : (17, P) array, root @ root.T is the covariance of theta and q
     region : Region, px, where the map is to hold
     """
-    corners = region.outline_px
-    places = np.vstack([corners, (corners + corners.mean(axis=0)) / 2])
     return Metric(
         port=view.port,
         theta=dict(zip(CAMERA, view.theta.tolist(), strict=True)),
         q_per_mm=view.q_per_mm,
         origin_px=view.origin_px,
-        modes=modes_that_matter(view.map_of, view.vector, root, places),
+        modes=_with_origin(compact_root(root)),
+        all_modes=True,
         region=region,
     )
 

@@ -11,8 +11,15 @@ from lscan.calibration.marks import found_on, region_around
 from lscan.calibration.metric.planemap import Metric, SheetView, metric_map
 from lscan.calibration.metric.sheet import LaserPlane, NoLaserPlane, find_plane
 from lscan.calibration.metric.views import CalibrationView, FittedView, LinePoints
-from lscan.camera.optics import stated_water
-from lscan.camera.posedboards import COUNT, CameraPriors, PosedBoards, priors_of
+from lscan.calibration.planemap import with_medium
+from lscan.camera.posedboards import (
+    CAMERA,
+    COUNT,
+    POSE,
+    CameraPriors,
+    PosedBoards,
+    priors_of,
+)
 from lscan.camera.resection import (
     MEDIAN,
     BoardMarks,
@@ -25,7 +32,7 @@ from lscan.camera.resection import (
 )
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import MeasurementError
-from lscan.records import Floats, select
+from lscan.records import Floats, Mask, select
 from lscan.version import __version__
 
 # Whether a camera's pixels are square, as the camera's model takes them to be.
@@ -33,20 +40,28 @@ from lscan.version import __version__
 # Pixels that are not, as of a picture squeezed to another format, make a camera of square pixels
 # that fits badly and is wrong in silence: with pixels a third too wide the focal length was
 # two and a half times too long.  What the marks themselves say of the pixels is seen by fitting a
-# pinhole with distortion to them, once with square pixels and once with any.
+# pinhole with distortion to them, once with square pixels and once with any.  A window that is
+# tilted, or thicker than stated, squeezes pictures too, and more often: it is looked at first.
 
 
 POOR = 1.2  # times the marks' own uncertainty, from which a misfit is looked into
 BETTER = 1.1  # times less must be left with pixels of another shape
 NEARLY_SQUARE = 0.005  # of a side: what a bent board may look like; costs 2 sigmas of focal length
+ANY_PORT = {"gap_mm": 100.0, "thickness_mm": 100.0, "tilt_x_deg": 10.0, "tilt_y_deg": 10.0}
+"""Standard uncertainties of a port of which next to nothing is known."""
 
 
-def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -> str:
-    """Of what shape pixels are that the marks show not to be square, and what to do; else "".
+def oblong_pixels(
+    fit: CameraFit, priors: CameraPriors, image_size: tuple[int, int], own_px: Floats
+) -> str:
+    """Of what shape port or pixels are that the marks show not to be as stated; else "".
+
+    Pixels are taken to be square, a port to be what [optics] says.
 
     Parameters
     ----------
     fit : CameraFit, camera and poses, with square pixels
+    priors : CameraPriors, what is known of the camera beforehand
     image_size : tuple of int, (width, height) of the pictures, px
     own_px : (N,) array, px, standard uncertainty of each mark as it was read
 
@@ -54,13 +69,26 @@ def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -
     ----------
     Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000).
     """
-    left_px = float(np.sqrt(np.mean(fit.marks.missed_px(fit.boards)[fit.good] ** 2)))
+    left_px = _left_px(fit.boards, fit.marks, fit.good)
     if left_px < POOR * float(np.median(own_px)):
         return ""
     square_px, _ = _pinhole(fit, image_size, cv2.CALIB_FIX_ASPECT_RATIO)
     shaped_px, pixel_height = _pinhole(fit, image_size, 0)
     if square_px < BETTER * shaped_px or abs(pixel_height - 1) < NEARLY_SQUARE:
         return ""
+    if fit.boards.port == "flat":
+        boards, square_px = _any_port(fit, priors, 1.0)
+        shaped_px = _any_port(fit, priors, pixel_height)[1]
+        if square_px < BETTER * shaped_px:
+            if left_px < BETTER * square_px:
+                return ""
+            theta = dict(zip(CAMERA, boards.theta, strict=False))
+            port = ", ".join(f"{name} = {theta[name]:.3g}" for name in ANY_PORT)
+            return (
+                f"the port is not as [optics] states it: the marks fit to {left_px:.2f} px rms, "
+                f"and to {square_px:.2f} px with about {port}; measure it, and state what you find "
+                "with its uncertainty"
+            )
     width, height = image_size
     return (
         f"the camera's pixels are not square: {pixel_height:.4f} times as high as wide, the marks "
@@ -68,6 +96,26 @@ def oblong_pixels(fit: CameraFit, image_size: tuple[int, int], own_px: Floats) -
         f"the camera that does not squeeze its pictures, or scale them all to {width} x "
         f"{round(height * pixel_height)} px"
     )
+
+
+def _any_port(
+    fit: CameraFit, priors: CameraPriors, pixel_height: float
+) -> tuple[PosedBoards, float]:
+    """Boards and camera behind any port, its pixels so many times as high as wide; px rms left."""
+    sigma, theta = priors.sigma.copy(), fit.boards.theta.copy()
+    for name, least in ANY_PORT.items():
+        sigma[CAMERA.index(name)] = max(least, sigma[CAMERA.index(name)])
+    theta[CAMERA.index("centre_v_px")] *= pixel_height
+    theta[COUNT + POSE.index("seen_v_px") :: len(POSE)] *= pixel_height
+    marks = replace(fit.marks, image_px=fit.marks.image_px * [1.0, pixel_height])
+    start, freed = replace(fit.boards, theta=theta), replace(priors, sigma=sigma)
+    boards = fit_boards(start, select(marks, fit.good), freed, TOLERANCE)
+    return boards, _left_px(boards, marks, fit.good)
+
+
+def _left_px(boards: PosedBoards, marks: BoardMarks, good: Mask) -> float:
+    """Px rms of what camera and boards leave of the good marks."""
+    return float(np.sqrt(np.mean(marks.missed_px(boards)[good] ** 2)))
 
 
 def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> tuple[float, float]:
@@ -191,7 +239,7 @@ def fit_views(
         index, faults[numbers[index]] = wrong
         del numbers[index]
     used = UsedViews(fit, tuple(numbers), faults)
-    message = oblong_pixels(fit, image_size, marks.sigma_px) or _open_focal(fit, priors)
+    message = oblong_pixels(fit, priors, image_size, marks.sigma_px) or _open_focal(fit, priors)
     if message:
         raise UnsolvedViews(message, fitted_views(views, used))
     return used
@@ -519,7 +567,7 @@ def _map_of(
     view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
     view = replace(view, origin_px=_origin_px(view, np.vstack(on_lines)))
     solved = metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines])))
-    return solved.model_copy(update={"stated_water": stated_water(optics)})
+    return with_medium(solved, optics)
 
 
 def _origin_px(view: SheetView, lines_px: Floats) -> Floats:

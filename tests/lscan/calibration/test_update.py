@@ -102,9 +102,9 @@ def test_a_correction_adds_its_uncertainty() -> None:
     np.testing.assert_allclose(np.sqrt(corrected.variance_mm2), expected)
     assert corrected.modes_mm is not None  # all points share them: they are modes, and all of it
     np.testing.assert_allclose(np.linalg.norm(corrected.modes_mm, axis=2), expected)
-    without = Estimate(PLACES, np.zeros(PLACES.shape))
-    assert correction.apply(without).modes_mm is None
-    np.testing.assert_allclose(np.sqrt(correction.apply(without).variance_mm2), expected)
+    without = correction.apply(Estimate(PLACES, np.zeros(PLACES.shape)))  # as a graticule has it
+    np.testing.assert_array_equal(without.modes_mm, corrected.modes_mm)
+    np.testing.assert_allclose(np.sqrt(without.variance_mm2), expected)
 
 
 def test_a_scale_is_corrected_and_then_agrees() -> None:
@@ -183,6 +183,22 @@ def test_another_water_is_found_and_corrected(tmp_path: Path) -> None:
     again, size = load_plane_map(tmp_path / "better.json")
     assert size == (640, 480)
     np.testing.assert_array_equal(again.to_plane(sea.project(PLACES)).xz_mm, points.xz_mm)
+
+
+def test_lengths_are_known_where_the_index_is_not() -> None:
+    """Of a calibration that knows its water to 0.003 only, a picture in the sea finds the index to
+    no better than that, and with it the scale of the picture, which is all that lengths need."""
+    tap, sea = View(n_water=1.331), View(n_water=1.339)
+    vague = KNOWN.model_copy(update={"water_index": (1.333, 0.003), "focal_px": (850.0, 80.0)})
+    calibration = calibrate(_reading(tap, 1), "refractive", vague)
+    index = check_calibration(calibration, _reading(sea, 2)).index
+    assert index is not None and 0.002 < index.sigma < 0.005
+    better = corrected_calibration(calibration, _reading(sea, 2), ("index",))
+    points = better.plane_map.to_plane(sea.project(PLACES))
+    assert points.modes_mm is not None
+    modes = np.linalg.norm(points.modes_mm[1:, 0] - points.modes_mm[0, 0], axis=1)
+    error = points.xz_mm[1:, 0] - points.xz_mm[0, 0] - (PLACES[1:, 0] - PLACES[0, 0])
+    assert (modes < 0.1).all() and (np.abs(error) < 4 * modes).all()
 
 
 def test_a_stated_water_explains_the_difference() -> None:

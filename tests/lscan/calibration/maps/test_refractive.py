@@ -40,6 +40,8 @@ PAPER_LENS = OpticsSection(  # the whole of View(), known exactly: only the pose
     thickness_mm=(6.0, 0.0),
     glass_index=(1.49, 0.0),
     water_index=(1.331, 0.0),
+    tilt_x_deg=(0.0, 0.0),
+    tilt_y_deg=(0.0, 0.0),
 )
 
 

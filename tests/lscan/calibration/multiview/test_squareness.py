@@ -8,9 +8,12 @@ from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.metric.views import CalibrationView
+from lscan.camera.posedboards import CAMERA
+from lscan.config.rig import OpticsSection
 from lscan.errors import MeasurementError
 
 NOISE_PX = 0.03
+TILTS = ("tilt_x_deg", "tilt_y_deg")
 
 
 def squeezed(height: float, water: bool, noise_px: float = NOISE_PX) -> list[CalibrationView]:
@@ -39,6 +42,23 @@ def test_oblong_pixels_are_refused_and_told(height: float, water: bool) -> None:
     advised = int(str(refused.value).rpartition(" x ")[2].split()[0])
     # The port, of which the pinhole does not know, costs a few parts in a thousand.
     assert advised == pytest.approx(SIZE[1], abs=1 + 0.004 * SIZE[1] * water)
+
+
+@pytest.mark.parametrize(("tilt", "slab_mm"), [(6.0, 6.0), (8.0, 150.0)])
+def test_a_tilted_window_is_no_oblong_pixel(tilt: float, slab_mm: float) -> None:
+    """Stated to be square to the axis, it is named; left out, the views are solved."""
+    square = paper_rig()
+    assert square.camera.port is not None
+    port = replace(square.camera.port, tilt_x_deg=tilt, thickness_mm=slab_mm)
+    rig, rng = replace(square, camera=replace(square.camera, port=port)), np.random.default_rng(3)
+    views = [with_noise(view, NOISE_PX, rng) for view in views_of(rig, poses(rig, rng, 9))]
+    exactly = known(rig).model_copy(update=dict.fromkeys(TILTS, (0.0, 0.0)))
+    with pytest.raises(MeasurementError, match=r"port is not as .*tilt_x_deg = "):
+        calibrate_metric(views, exactly, SIZE)
+    silent = {name: getattr(OpticsSection(), name) for name in TILTS}
+    solved = calibrate_metric(views, known(rig).model_copy(update=silent), SIZE)
+    place = CAMERA.index("tilt_x_deg")
+    assert abs(solved.theta[place] - tilt) < 4 * solved.sigma[place]
 
 
 def test_square_pixels_are_solved() -> None:
