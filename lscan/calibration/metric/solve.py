@@ -98,6 +98,7 @@ WRONG_VIEW = 4.0  # times the median over the views of each one's median residua
 DOUBTFUL_VIEW = 2.0  # times the median over the views of each one's rms, from which it is named
 MOST_WRONG = 0.25  # of a view's marks; beyond it the view is an outlier
 LEAST_FOCAL = 0.05  # relative uncertainty of the focal length beyond which it is not known
+MOST_BENT = 0.01  # of a board's half diagonal: how far the bend, which is found, may lift its rim
 ROUNDS = 10
 TOLERANCE = 1e-12  # relative change of the sum of squares
 SETTLED = 1e-3  # relative change of chi squared
@@ -185,7 +186,8 @@ def fit_views(
         if (start := best_start(marks, priors, optics.port, image_size[0])) is None:
             message = "no camera explains the views of the board"
             raise UnsolvedViews(message, _views_with_faults(views, faults))
-        fit = _fit(start, marks, priors)
+        half_mm = float(np.linalg.norm(np.ptp(marks.board_mm, axis=0))) / 2
+        fit = _fit(start, marks, replace(priors, bend_per_mm=MOST_BENT / half_mm))
         if (wrong := _worst_view(fit, marks)) is None:
             break
         index, faults[numbers[index]] = wrong
@@ -253,7 +255,7 @@ def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraF
     own = marks.sigma_px
     boards = fit_boards(start, marks, priors, TOLERANCE)
     chi = chi_square(boards, marks, priors)
-    free = int(priors.free.sum()) + len(boards.theta) - COUNT
+    free = int(priors.free.sum()) + len(boards.theta) - COUNT + len(boards.bend_per_mm)
     for _ in range(ROUNDS):
         miss = marks.missed_px(boards)[good]
         excess = (miss**2).sum() / max(miss.size - free, 1) - np.mean(own[good] ** 2)
