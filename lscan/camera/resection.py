@@ -352,7 +352,7 @@ def chi_square(boards: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> 
 
 
 def with_covariance(
-    boards: PosedBoards, marks: BoardMarks, priors: CameraPriors, good: Mask
+    boards: PosedBoards, marks: BoardMarks, priors: CameraPriors, good: Mask, common: bool = False
 ) -> CameraFit:
     """The solution for some of the marks, with its covariance.
 
@@ -366,13 +366,16 @@ def with_covariance(
     marks : BoardMarks, all N marks
     priors : CameraPriors, what is known of the camera beforehand
     good : (N,) mask, of the marks that the solution rests on
+    common : bool, whether what the marks of a view share is the same in all views, of a lens say
+        that is none of the model's: it does not average over them
     """
     used = select(marks, good)
     problem = _Problem(boards, used, priors)
     left, design = problem.residuals(problem.some), problem.jacobian(problem.some)
     some = covariance_root(design, float(left @ left))
     if len(boards.poses) > 1:
-        some = np.hstack([some, _shared_root(design, left, used)])
+        times = np.sqrt(len(boards.poses)) if common else 1.0
+        some = np.hstack([some, times * _shared_root(design, left, used)])
     root = np.zeros((len(boards.theta), some.shape[1]))
     root[problem.free] = some[: int(problem.free.sum())]
     return CameraFit(boards, root, marks, good)
