@@ -119,6 +119,7 @@ DOUBTFUL_VIEW = 2.0  # times the median over the views of each one's rms, from w
 MISFIT = (
     2.0  # times the marks' own uncertainty; noise, print and unevenness, each as large, make 1.7
 )
+COMMON = 1.1  # times it: of 400 marks noise alone makes 1.03, and the bend of each view 0.05 more
 MOST_LEFT_PX = 1.0  # rms: no mark that is read at all is read a pixel off as a rule
 STARTS = [CAMERA.index(name) for name in ("thickness_mm", "tilt_x_deg", "tilt_y_deg", "gap_mm")]
 APART = 1.0  # sigma from what is known, where other searches start
@@ -303,7 +304,7 @@ def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraF
 
     What is left beyond the marks' own uncertainties (compression, an uneven board) is taken to
     displace all marks alike, and is added to each one's: a few marks of little noise must not
-    decide alone.  Beyond POOR times those it is the lens's, or the port's, and the same in all
+    decide alone.  Beyond COMMON times those it is the lens's, or the port's, and the same in all
     views.
     """
     good = np.ones(len(marks.board), dtype=bool)
@@ -321,7 +322,7 @@ def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraF
         if np.isclose(chi, chi_before, rtol=SETTLED) and (good == before).all():
             break
     left = float(np.sqrt(np.mean(marks.missed_px(boards)[good] ** 2)))
-    return with_covariance(boards, marks, priors, good, left > POOR * float(np.median(own)))
+    return with_covariance(boards, marks, priors, good, left > COMMON * float(np.median(own)))
 
 
 def _unusable(view: CalibrationView) -> str:
