@@ -394,8 +394,9 @@ def _shared_root(design: Floats, left: Floats, marks: BoardMarks) -> Floats:
         E[e' e] = sigma^2 (N - P) + tau^2 tr G,  E[e' S S' e] = sigma^2 tr G + tau^2 tr G^2
 
     give both variances (analysis of variance; C. R. Rao, J. Multivar. Anal. 1 (1971) 257).  Few
-    views determine tau badly: Student's factor, for Satterthwaite's degrees of freedom, stands in
-    for 1.96 (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110).
+    views determine tau badly: Student's factor stands in for 1.96, for Satterthwaite's degrees of
+    freedom (Biometrics Bull. 2 (1946) 110) or, where they are fewer, for the views less one, as a
+    view may hold one error only (A. C. Cameron and D. L. Miller, J. Hum. Resour. 50 (2015) 317).
 
     A sandwich of the views' scores with Bell and McCaffrey's correction (Surv. Methodol. 28 (2002)
     169) holds as well for one number, but its covariance has the rank of the views less one: fewer
@@ -423,7 +424,7 @@ def _shared_root(design: Floats, left: Floats, marks: BoardMarks) -> Floats:
     noise = max((left @ left - shared * trace) / freedom, 0.0)
     spread = shared * gram @ gram + noise * gram
     few = np.trace(spread) ** 2 / float((spread**2).sum())
-    return root @ effect * np.sqrt(shared) * student_factor(few)
+    return root @ effect * np.sqrt(shared) * student_factor(min(few, len(views) - 1))
 
 
 def student_factor(freedom: float) -> float:
