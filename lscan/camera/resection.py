@@ -233,8 +233,10 @@ class _Problem:
         boards, known = self.at(some), self.priors.informed
         picture = self.marks.missed_px(boards) / self.marks.sigma_px[:, None]
         departure = (boards.theta[:COUNT] - self.priors.mean)[known] / self.priors.sigma[known]
-        bend = boards.bend_per_mm / self.priors.bend_per_mm if self.priors.bend_per_mm else []
-        return np.concatenate([picture.ravel(), departure, bend])
+        parts = [picture.ravel(), departure]
+        if self.priors.bend_per_mm:
+            parts.append(boards.bend_per_mm / self.priors.bend_per_mm)
+        return np.concatenate(parts)
 
     def jacobian(self, some: Floats) -> Floats:
         """(2 N + priors, free) derivatives of the residuals."""

@@ -226,7 +226,7 @@ class PlaneEquations:
         Stand. 87 (1982) 377.
         """
         left, by_q, by_theta, by_line = (part[np.repeat(used, 2)] for part in self._system(q))
-        carried = by_theta @ self._poses_root
+        carried = by_theta @ self._root
         known, shared = np.eye(len(left)) + carried @ carried.T, by_line @ by_line.T
         freedom = len(left) - by_q.shape[1]
 
