@@ -236,8 +236,8 @@ def calibrate_metric(
     content |= {"misfit": calibration.misfit, "views": _views_json(calibration.views)}
     views_table = _views_table(calibration.views)
     warnings = [f"warning: {calibration.misfit}"] if calibration.misfit else []
-    shown = [views_table, f"{words}; {output}", *warnings]
-    show({"calibration": output, **content}, *shown, json=json)
+    content = {"calibration": output, **content}
+    show(content, views_table, f"{words}; {output}", *warnings, json=json)
 
 
 def _views_table(views: Sequence[FittedView]) -> Table:

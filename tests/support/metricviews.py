@@ -5,7 +5,7 @@ checks against the tank's truth; what is tested with them is the adjustment, not
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -84,7 +84,9 @@ def known(rig: Rig, water_sigma: float = 0.0) -> OpticsSection:
     The widths of what is not known are so large that they draw on nothing.
     """
     port = rig.camera.port
-    free = dict.fromkeys(("k1", "k2"), (0.0, 1e4)) | dict.fromkeys(("p1", "p2"), (0.0, 1e2))
+    free: dict[str, Any] = dict.fromkeys(("k1", "k2"), (0.0, 1e4)) | dict.fromkeys(
+        ("p1", "p2"), (0.0, 1e2)
+    )
     if port is None:
         return OpticsSection(port="none", **free)
     return OpticsSection(
@@ -130,7 +132,7 @@ def height_mm(places: Floats, bend: Floats) -> Floats:
 def marks_of(rig: Rig, pose: Pose, bend: Floats = FLAT) -> Marks:
     """The exact marks of a board; sigma_px is STATED_PX."""
     column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
-    board = np.column_stack([column.ravel(), -row.ravel()]) * PITCH_MM
+    board = PITCH_MM * np.column_stack([column.ravel(), -row.ravel()]).astype(np.float64)
     local = board - board.mean(axis=0)
     flat = local * [1.0, -1.0]
     places = np.column_stack([flat, height_mm(flat, bend)])
