@@ -170,13 +170,13 @@ def _by_fisheye(rng: np.random.Generator, count: int) -> ViewSet:
 
 def _through_slab(rng: np.random.Generator, count: int) -> ViewSet:
     """Boards in air through 260 mm of glass, tilted by 10 degrees, said to be 100 to 400."""
-    side, near = rng.uniform(0, 2 * np.pi), rng.uniform(330, 600)
+    side, near = rng.uniform(0, 2 * np.pi), rng.uniform(400, 600)
     tilt = SLAB_DEG * np.array([np.cos(side), np.sin(side)])
     port = PortModel(20.0, SLAB_MM, 1.49, 1.0, *tilt.tolist())
     camera = CameraModel(700.0, (319.5, 239.5), -0.1, 0.02, port=port)
     rig, views = Rig(camera, paper_rig().q_per_mm * 1000 / near), []
     for number, pose in enumerate(poses(rig, rng, count)):
-        x, y = rng.uniform(-1, 1, 2) * [0.25, 0.18] * near
+        x, y = rng.uniform(-1, 1, 2) * [0.15, 0.1] * near
         there = np.array([x, y, (1 - rig.q_per_mm[:2] @ [x, y]) / rig.q_per_mm[2]])
         posed = Pose(pose.rotation, there)
         view = CalibrationView(f"{number}", marks_of(rig, posed), line_of(rig, posed))
