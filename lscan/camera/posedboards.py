@@ -1,6 +1,6 @@
 """A camera and the boards before it as one vector of parameters, with limits and derivatives."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -62,11 +62,14 @@ class CameraPriors:
     sigma : (14,) array, standard uncertainties; 0: the parameter is held; infinite: nothing is
         known
     focal_given : bool, whether the focal length is known, rather than assumed or open
+    bend_per_mm : float, 1/mm, standard uncertainty of each of PosedBoards.bend_per_mm about 0;
+        0: the board is flat
     """
 
     mean: Floats
     sigma: Floats
     focal_given: bool
+    bend_per_mm: float = 0.0
 
     @property
     def free(self) -> Mask:
@@ -142,6 +145,8 @@ def priors_of(
 POSE = ("turn_x", "turn_y", "turn_z", "seen_u_px", "seen_v_px", "mm_per_px")
 TURN, SEEN, MM_PER_PX = slice(0, 3), slice(3, 5), 5  # in the order of POSE
 
+BEND_STEPS = 2  # of meeting a bent board; each leaves the bend's slope, 0.01 or so, of the error
+
 # Board axes (x right, y away, z up) of a board that squarely faces the camera, in its frame.
 FACING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
@@ -150,7 +155,8 @@ FACING = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 class PosedBoards:
     """A camera and V boards before it.
 
-    The frame of a board is x right, y away from the camera, z up; its marks lie in y = 0.
+    The frame of a board is x right, y away from the camera, z up; its marks lie in y = 0 or, if
+    it is bent, at y = a x^2 + b x z + c z^2 about ``centre_mm``, all boards alike.
 
     Attributes
     ----------
@@ -161,11 +167,13 @@ class PosedBoards:
         little when the lens does and the picture does not, which keeps least squares quick.
     centre_mm : (2,) array, mm, the point (x, z) of each board about which it is turned
     port : str, "flat", or "none" for a camera in air, whose port parameters mean nothing
+    bend_per_mm : (3,) array, 1/mm, a, b and c of the boards' bend
     """
 
     theta: Floats
     centre_mm: Floats
     port: PortKind = "flat"
+    bend_per_mm: Floats = field(default_factory=lambda: np.zeros(3))
 
     @cached_property
     def camera(self) -> CameraModel:
@@ -231,9 +239,12 @@ class PosedBoards:
         board : (N,) array or int, number of each point's board
         """
         of_each = np.broadcast_to(board, len(board_mm))
-        across, up = self.axes[:, :, 0][of_each], self.axes[:, :, 2][of_each]
-        x, z = (board_mm - self.centre_mm).T
-        return x[:, None] * across + z[:, None] * up + self.places_mm[of_each]
+        across, away, up = np.moveaxis(self.axes, 2, 0)[:, of_each]
+        x, z = (board_mm - self.centre_mm).T[:, :, None]
+        flat = x * across + z * up + self.places_mm[of_each]
+        if not self.bend_per_mm.any():
+            return flat
+        return flat + (squares(board_mm - self.centre_mm) @ self.bend_per_mm)[:, None] * away
 
     def project(self, board_mm: Floats, board: Ints | int = 0) -> Floats:
         """(N, 2) px, (u, v) at which points of the boards are seen; NaN where there is no image.
@@ -253,8 +264,13 @@ class PosedBoards:
         image_px : (K, 2) array, px, of (u, v)
         board : int, number of the board
         """
-        normal, place = self.axes[board][:, 1], self.places_mm[board]
-        return meet_plane(rays(self.camera, image_px), normal, place)
+        axes, place = self.axes[board], self.places_mm[board]
+        seen, normal = rays(self.camera, image_px), axes[:, 1]
+        points = meet_plane(seen, normal, place)
+        for _ in range(BEND_STEPS if self.bend_per_mm.any() else 0):
+            height = squares((points - place) @ axes[:, [0, 2]]) @ self.bend_per_mm
+            points = meet_plane(seen, normal, place + height[:, None] * normal)
+        return points
 
     def locate(self, image_px: Floats, board: int = 0) -> Floats:
         """(K, 2) mm, (x, z) on a board where the rays of pixels meet it; NaN if they do not.
@@ -266,6 +282,17 @@ class PosedBoards:
         """
         beside = self.on_board(image_px, board) - self.places_mm[board]
         return beside @ self.axes[board][:, [0, 2]] + self.centre_mm
+
+
+def squares(places: Floats) -> Floats:
+    """(N, 3) x^2, x z and z^2, of whose sum a bend is made.
+
+    Parameters
+    ----------
+    places : (N, 2) array, (x, z) from the middle of the board
+    """
+    x, z = places.T
+    return np.column_stack([x * x, x * z, z * z])
 
 
 def towards(direction: Floats) -> Floats:
@@ -318,6 +345,7 @@ def rotation(vector: Floats) -> Floats:
 PIXEL = [COUNT, COUNT + 1]  # columns of a ray's derivatives by its own pixel
 OWN = COUNT + len(POSE)  # parameters that a mark depends on: the camera's, its own board's
 
+AWAY_MM = 1e-2  # mm, of central differences: 1e-4 of a distance of 100 mm, its square the error
 TURN_STEP = 1e-5  # rad, of central differences: far above rounding, far below any curvature
 
 
@@ -433,6 +461,9 @@ def image_derivatives(boards: PosedBoards, board_mm: Floats, board: Ints) -> Flo
     axes, places = frame_derivatives(boards)
     x, z = (board_mm - boards.centre_mm).T[:, :, None, None]
     moved = (x * axes[:, :, 0][board] + z * axes[:, :, 2][board]) + places[board]
+    if boards.bend_per_mm.any():
+        height = squares(board_mm - boards.centre_mm) @ boards.bend_per_mm
+        moved += height[:, None, None] * axes[:, :, 1][board]
     camera, points = boards.camera, boards.in_camera(board_mm, board)
     distorted = (project(camera, points) - np.array(camera.centre_px)) / camera.focal_px
     tangents = undistort(camera, distorted)
@@ -445,6 +476,21 @@ def image_derivatives(boards: PosedBoards, board_mm: Floats, board: Ints) -> Flo
     spanned = np.concatenate([by_ray[:, :, PIXEL], seen.direction[:, :, None]], axis=2)
     found[good] = np.linalg.solve(spanned[good], moved[good])[:, :2]
     return found
+
+
+def bend_derivatives(boards: PosedBoards, board_mm: Floats, board: Ints) -> Floats:
+    """(N, 2, 3) px mm, derivatives of the pixels of points of the boards by their bend.
+
+    Parameters
+    ----------
+    boards : PosedBoards, V of them
+    board_mm : (N, 2) array, mm, (x, z) on the board
+    board : (N,) array, number of each point's board
+    """
+    points, away = boards.in_camera(board_mm, board), boards.axes[board][:, :, 1]
+    after, before = (project(boards.camera, points + way * away) for way in (AWAY_MM, -AWAY_MM))
+    by_height = (after - before) / (2 * AWAY_MM)
+    return by_height[:, :, None] * squares(board_mm - boards.centre_mm)[:, None]
 
 
 def on_board_derivatives(boards: PosedBoards, image_px: Floats, board: int) -> Floats:

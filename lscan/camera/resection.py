@@ -6,8 +6,10 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtri, stdtrit
 
 from lscan.camera.optics import rays
 from lscan.camera.posedboards import (
@@ -19,7 +21,9 @@ from lscan.camera.posedboards import (
     CameraPriors,
     PortKind,
     PosedBoards,
+    bend_derivatives,
     image_derivatives,
+    squares,
     towards,
 )
 from lscan.records import Floats, Ints, Mask, select
@@ -227,18 +231,28 @@ class _Problem:
         poses = np.ones(len(self.boards.theta) - COUNT, dtype=bool)
         return np.concatenate([self.priors.free, poses])
 
+    @property
+    def some(self) -> Floats:
+        """(free,) the free parameters as they are, then the boards' bend where that is free."""
+        bend = self.boards.bend_per_mm[: 3 if self.priors.bend_per_mm else 0]
+        return np.concatenate([self.boards.theta[self.free], bend])
+
     def at(self, some: Floats) -> PosedBoards:
         """Camera and boards with these free parameters."""
-        theta = self.boards.theta.copy()
-        theta[self.free] = some
-        return replace(self.boards, theta=theta)
+        theta, count = self.boards.theta.copy(), int(self.free.sum())
+        theta[self.free] = some[:count]
+        bend = some[count:] if self.priors.bend_per_mm else self.boards.bend_per_mm
+        return replace(self.boards, theta=theta, bend_per_mm=bend)
 
     def residuals(self, some: Floats) -> Floats:
         """(2 N + priors,) departures from marks and priors over their uncertainties."""
         boards, known = self.at(some), self.priors.informed
         picture = self.marks.missed_px(boards) / self.marks.sigma_px[:, None]
         departure = (boards.theta[:COUNT] - self.priors.mean)[known] / self.priors.sigma[known]
-        return np.concatenate([picture.ravel(), departure])
+        parts = [picture.ravel(), departure]
+        if self.priors.bend_per_mm:
+            parts.append(boards.bend_per_mm / self.priors.bend_per_mm)
+        return np.concatenate(parts)
 
     def jacobian(self, some: Floats) -> Floats:
         """(2 N + priors, free) derivatives of the residuals."""
@@ -251,7 +265,14 @@ class _Problem:
         design[rows, :, pose] = by_own[:, :, COUNT:].transpose(0, 2, 1)
         picture = (design / marks.sigma_px[:, None, None]).reshape(-1, len(boards.theta))
         departure = np.eye(COUNT, len(boards.theta))[known] / self.priors.sigma[known, None]
-        return np.vstack([picture, departure])[:, self.free]
+        design = np.vstack([picture, departure])[:, self.free]
+        if not self.priors.bend_per_mm:
+            return design
+        bent = np.nan_to_num(bend_derivatives(boards, marks.board_mm, marks.board))
+        by_bend = (bent / marks.sigma_px[:, None, None]).reshape(-1, 3)
+        by_bend = np.vstack([by_bend, np.zeros((len(departure), 3))])
+        known_bend = np.eye(3, design.shape[1] + 3, design.shape[1]) / self.priors.bend_per_mm
+        return np.vstack([np.hstack([design, by_bend]), known_bend])
 
 
 def fit_boards(
@@ -280,11 +301,11 @@ def fit_boards(
     Z. Zhang, IEEE PAMI 22 (2000), Sec. 3.2.
     """
     problem = _Problem(start, marks, priors)
-    if 2 * len(marks.board) + priors.informed.sum() < problem.free.sum():
+    if len(problem.residuals(problem.some)) < len(problem.some):
         return fit_within_limits(start, marks, priors, tolerance)  # which needs no equation each
     answer = least_squares(
         problem.residuals,
-        start.theta[problem.free],
+        problem.some,
         jac=problem.jacobian,
         method="lm",
         x_scale="jac",
@@ -318,13 +339,14 @@ def fit_within_limits(
     most : int, evaluations allowed
     """
     problem = _Problem(start, marks, priors)
-    low, high = np.full(len(start.theta), -np.inf), np.full(len(start.theta), np.inf)
-    low[:COUNT], high[:COUNT] = LEAST, GREATEST
+    low, high = np.full(len(problem.some), -np.inf), np.full(len(problem.some), np.inf)
+    count = int(priors.free.sum())
+    low[:count], high[:count] = LEAST[priors.free], GREATEST[priors.free]
     answer = least_squares(
         problem.residuals,
-        np.clip(start.theta, low, high)[problem.free],
+        np.clip(problem.some, low, high),
         jac=problem.jacobian,
-        bounds=(low[problem.free], high[problem.free]),
+        bounds=(low, high),
         x_scale="jac",
         loss="soft_l1" if np.isfinite(robust) else "linear",
         f_scale=robust if np.isfinite(robust) else 1.0,
@@ -344,16 +366,17 @@ def chi_square(boards: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> 
     priors : CameraPriors, what is known of the camera beforehand
     """
     problem = _Problem(boards, marks, priors)
-    return float((problem.residuals(boards.theta[problem.free]) ** 2).sum())
+    return float((problem.residuals(problem.some) ** 2).sum())
 
 
 def with_covariance(
-    boards: PosedBoards, marks: BoardMarks, priors: CameraPriors, good: Mask
+    boards: PosedBoards, marks: BoardMarks, priors: CameraPriors, good: Mask, common: bool = False
 ) -> CameraFit:
     """The solution for some of the marks, with its covariance.
 
     The covariance is that of the normal equations, scaled up by chi squared per degree of
-    freedom where that is above 1.
+    freedom where that is above 1, and of several views that of errors that the marks of a view
+    share beside it.
 
     Parameters
     ----------
@@ -361,13 +384,75 @@ def with_covariance(
     marks : BoardMarks, all N marks
     priors : CameraPriors, what is known of the camera beforehand
     good : (N,) mask, of the marks that the solution rests on
+    common : bool, whether what the marks of a view share is the same in all views, of a lens say
+        that is none of the model's: it does not average over them
     """
     used = select(marks, good)
     problem = _Problem(boards, used, priors)
-    design = problem.jacobian(boards.theta[problem.free])
-    root = np.zeros((len(boards.theta), design.shape[1]))
-    root[problem.free] = covariance_root(design, chi_square(boards, used, priors))
+    left, design = problem.residuals(problem.some), problem.jacobian(problem.some)
+    some = covariance_root(design, float(left @ left))
+    if len(boards.poses) > 1:
+        times = np.sqrt(len(boards.poses)) if common else 1.0
+        some = np.hstack([some, times * _shared_root(design, left, used)])
+    root = np.zeros((len(boards.theta), some.shape[1]))
+    root[problem.free] = some[: int(problem.free.sum())]
     return CameraFit(boards, root, marks, good)
+
+
+def _shared_root(design: Floats, left: Floats, marks: BoardMarks) -> Floats:
+    """(P, 12 V) what errors that the marks of a view share add to the root of the covariance.
+
+    design: (N, P) derivatives of the weighted residuals.  left: (N,) the residuals.
+
+    The error of a view's marks is taken to be noise and a field that varies over the board as a
+    polynomial of second degree, in u and in v, of one standard uncertainty tau for each of the
+    twelve coefficients (places over the board's half size).  With the design's projection H on
+    what is left, S the fields and G = S' H S, the expectations
+
+        E[e' e] = sigma^2 (N - P) + tau^2 tr G,  E[e' S S' e] = sigma^2 tr G + tau^2 tr G^2
+
+    give both variances (analysis of variance; C. R. Rao, J. Multivar. Anal. 1 (1971) 257).  Few
+    views determine tau badly: Student's factor stands in for 1.96, for Satterthwaite's degrees of
+    freedom (Biometrics Bull. 2 (1946) 110) or, where they are fewer, for the views less one, as a
+    view may hold one error only (A. C. Cameron and D. L. Miller, J. Hum. Resour. 50 (2015) 317).
+
+    A sandwich of the views' scores with Bell and McCaffrey's correction (Surv. Methodol. 28 (2002)
+    169) holds as well for one number, but its covariance has the rank of the views less one: fewer
+    than a camera's parameters, and it leaves out the poses, whose scores are 0.
+    """
+    root = covariance_root(design, 0.0)
+    to_fit = design @ root  # orthonormal
+    places = (marks.board_mm - marks.board_mm.mean(axis=0)) / np.ptp(marks.board_mm, axis=0) * 2
+    terms = np.column_stack([np.ones(len(places)), places, squares(places)])
+    effects, moments, views = [], [], np.unique(marks.board)
+    products = []
+    for board in views:
+        mine = np.flatnonzero(marks.board == board)
+        field = np.kron(terms[mine] / marks.sigma_px[mine, None], np.eye(2))
+        rows = (2 * mine[:, None] + [0, 1]).ravel()
+        effects.append(to_fit[rows].T @ field)
+        moments.append(field.T @ left[rows])
+        products.append(field.T @ field)
+    effect, moment = np.hstack(effects), np.concatenate(moments)
+    gram = block_diag(*products) - effect.T @ effect
+    trace, square, freedom = np.trace(gram), float((gram**2).sum()), max(len(left) - len(root), 1)
+    shared = (moment @ moment * freedom - left @ left * trace) / (square * freedom - trace**2)
+    if not shared > 0:
+        return np.zeros((len(root), 0))
+    noise = max((left @ left - shared * trace) / freedom, 0.0)
+    spread = shared * gram @ gram + noise * gram
+    few = np.trace(spread) ** 2 / float((spread**2).sum())
+    return root @ effect * np.sqrt(shared) * student_factor(min(few, len(views) - 1))
+
+
+def student_factor(freedom: float) -> float:
+    """How much wider a 95 % interval is whose sigma was found with few degrees of freedom.
+
+    Parameters
+    ----------
+    freedom : float, degrees of freedom, taken for 1 where they are fewer
+    """
+    return float(stdtrit(max(freedom, 1.0), 0.975) / ndtri(0.975))
 
 
 # Where least squares begins: a pinhole in the water's stead.

@@ -229,18 +229,21 @@ def calibrate_metric(
     content: dict[str, Any] = {"map": None, "rms_px": calibration.rms_px, "line_rms_mm": None}
     files.save_calibration(output, calibration)
     if isinstance(calibration, metric.CameraCalibration):
-        focal, sigma = calibration.theta[0], calibration.sigma[0]
-        words = f"camera: {used}; focal length {focal:.1f} ± {sigma:.1f} px"
+        words = f"camera: {used}"
     else:
         content |= {"map": calibration.plane_map.name, "line_rms_mm": calibration.line_rms_mm}
         lines = sum(view.line_used for view in calibration.views)
         off = f"{calibration.line_rms_mm:.3f} mm rms off the sheet"
         words = f"metric: {used}; {lines} lines, {off}"
+    focal, sigma = calibration.theta[0], calibration.sigma[0]
+    words += f"; focal length {focal:.1f} ± {sigma:.1f} px"
     known_as = zip(CAMERA, calibration.theta, calibration.sigma, strict=True)
     content["camera"] = {name: {"value": value, "sigma": sigma} for name, value, sigma in known_as}
-    content["views"] = _views_json(calibration.views)
+    content |= {"misfit": calibration.misfit, "views": _views_json(calibration.views)}
     views_table = _views_table(calibration.views)
-    show({"calibration": output, **content}, views_table, f"{words}; {output}", json=json)
+    warnings = [f"warning: {calibration.misfit}"] if calibration.misfit else []
+    content = {"calibration": output, **content}
+    show(content, views_table, f"{words}; {output}", *warnings, json=json)
 
 
 def _views_table(views: Sequence[FittedView]) -> Table:

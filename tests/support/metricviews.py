@@ -5,7 +5,7 @@ checks against the tank's truth; what is tested with them is the adjustment, not
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -84,7 +84,9 @@ def known(rig: Rig, water_sigma: float = 0.0) -> OpticsSection:
     The widths of what is not known are so large that they draw on nothing.
     """
     port = rig.camera.port
-    free = dict.fromkeys(("k1", "k2"), (0.0, 1e4)) | dict.fromkeys(("p1", "p2"), (0.0, 1e2))
+    free: dict[str, Any] = dict.fromkeys(("k1", "k2"), (0.0, 1e4)) | dict.fromkeys(
+        ("p1", "p2"), (0.0, 1e2)
+    )
     if port is None:
         return OpticsSection(port="none", **free)
     return OpticsSection(
@@ -111,33 +113,67 @@ def poses(rig: Rig, rng: np.random.Generator, count: int = VIEWS) -> list[Pose]:
     return found
 
 
-def marks_of(rig: Rig, pose: Pose) -> Marks:
+FLAT = np.zeros(3)
+"""The bend of a flat board: a, b, c of its height a x^2 + b x z + c z^2, 1/mm."""
+
+
+def height_mm(places: Floats, bend: Floats) -> Floats:
+    """(N,) mm, height of a bent board at places (N, 2) from its middle; 0 on average at its marks.
+
+    bend: (3,) 1/mm.
+    """
+    x, z = places.T
+    column, row = np.meshgrid(
+        np.arange(COLUMNS) - (COLUMNS - 1) / 2, np.arange(ROWS) - (ROWS - 1) / 2
+    )
+    u, v = PITCH_MM * column.ravel(), PITCH_MM * row.ravel()
+    on_average = np.mean(np.column_stack([u * u, u * v, v * v]) @ bend)
+    return np.column_stack([x * x, x * z, z * z]) @ bend - on_average
+
+
+def marks_of(rig: Rig, pose: Pose, bend: Floats = FLAT) -> Marks:
     """The exact marks of a board; sigma_px is STATED_PX."""
     column, row = np.meshgrid(np.arange(COLUMNS), np.arange(ROWS))
-    board = np.column_stack([column.ravel(), -row.ravel()]) * PITCH_MM
+    board = PITCH_MM * np.column_stack([column.ravel(), -row.ravel()]).astype(np.float64)
     local = board - board.mean(axis=0)
-    flat = np.column_stack([local[:, 0], -local[:, 1], np.zeros(len(local))])
-    image = project(rig.camera, flat @ pose.rotation.T + pose.place_mm)
+    flat = local * [1.0, -1.0]
+    places = np.column_stack([flat, height_mm(flat, bend)])
+    image = project(rig.camera, places @ pose.rotation.T + pose.place_mm)
     status = np.full(len(board), int(Status.OK), dtype=np.int64)
     return Marks(board, image, np.full(len(board), STATED_PX), status)
 
 
-def line_of(rig: Rig, pose: Pose) -> LinePoints:
+def line_of(rig: Rig, pose: Pose, bend: Floats = FLAT) -> LinePoints:
     """The exact line of the sheet on a board whose middle lies in it; sigma_px is STATED_PX."""
-    along = np.cross(pose.rotation[:, 2], rig.q_per_mm)
+    away = pose.rotation[:, 2]
+    along = np.cross(away, rig.q_per_mm)
     along /= np.linalg.norm(along)
-    reach = np.linspace(-60, 60, LINE_POINTS)
-    image = project(rig.camera, pose.place_mm + reach[:, None] * along)
+    across = np.cross(away, along)
+    places = pose.place_mm + np.linspace(-60, 60, LINE_POINTS)[:, None] * along
+    for _ in range(4 if bend.any() else 0):  # to where the bent board meets the sheet
+        on_board = (places - pose.place_mm) @ pose.rotation
+        places += (height_mm(on_board[:, :2], bend) - on_board[:, 2])[:, None] * away
+        places -= ((places @ rig.q_per_mm - 1) / (across @ rig.q_per_mm))[:, None] * across
+    image = project(rig.camera, places)
     level = np.ptp(image[:, 0]) >= np.ptp(image[:, 1])
     return LinePoints(image, np.full(len(image), STATED_PX), "columns" if level else "rows")
 
 
-def views_of(rig: Rig, boards: list[Pose]) -> list[CalibrationView]:
-    """Exact views, marks and lines."""
+def views_of(rig: Rig, boards: list[Pose], bends: Floats | None = None) -> list[CalibrationView]:
+    """Exact views, marks and lines; bends: (V, 3) 1/mm, of the boards, flat without."""
+    each = np.zeros((len(boards), 3)) if bends is None else bends
     return [
-        CalibrationView(f"pose-{number}", marks_of(rig, pose), line_of(rig, pose))
-        for number, pose in enumerate(boards)
+        CalibrationView(f"pose-{number}", marks_of(rig, pose, bend), line_of(rig, pose, bend))
+        for number, (pose, bend) in enumerate(zip(boards, each, strict=True))
     ]
+
+
+def bends_of(rng: np.random.Generator, count: int, common: bool, sag_mm: float = 0.2) -> Floats:
+    """(count, 3) 1/mm: boards bent to part of a cylinder by so much over 210 mm, one or each."""
+    lean = rng.uniform(0, np.pi, (1 if common else count, 1))
+    curved = np.hstack([np.cos(lean) ** 2, np.sin(2 * lean), np.sin(lean) ** 2])
+    side = rng.choice([-1.0, 1.0], lean.shape)
+    return np.broadcast_to(side * 4 * sag_mm / 210**2 * curved, (count, 3))
 
 
 def with_noise(view: CalibrationView, sigma_px: float, rng: np.random.Generator) -> CalibrationView:

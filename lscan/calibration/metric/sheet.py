@@ -10,15 +10,18 @@ judged by their own uncertainties, and by how well those hold among the lines th
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.fft import dct
+from scipy.linalg import block_diag
+from scipy.optimize import brentq
 from scipy.special import gammaln
 
 from lscan.calibration.metric.views import LinePoints
 from lscan.camera.posedboards import COUNT, POSE, PosedBoards, on_board_derivatives
-from lscan.camera.resection import PIXEL_STEP, CameraFit, Locate
+from lscan.camera.resection import PIXEL_STEP, CameraFit, Locate, student_factor
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Ints, Mask, select
 
@@ -29,6 +32,8 @@ FEWEST_POINTS = 10  # of a line; a straight line has two unknowns
 TRIED = 40  # points of a line that are joined in pairs to find it among outliers
 WRONG_POINT = 6.0  # sigmas: beyond them a point is an outlier
 MEDIAN = 0.6745  # of the magnitude of a normal variable of unit variance
+MOST_SCATTER_PX = 3.0  # rms: centres anywhere within a line 10 px wide scatter by 10 / sqrt(12)
+SLOW = 12  # cosines along a line, of periods of 1 down to 2/13 of it, that are its slow errors
 
 
 def distance_mm(points_mm: Floats, q_per_mm: Floats) -> Floats:
@@ -79,6 +84,38 @@ def straight(boards: PosedBoards, line: LinePoints, board: int) -> Mask:
     usual = max(1.0, float(np.median(away[:, best] / sigma)) / MEDIAN)
     mask[seen] = away[:, best] <= WRONG_POINT * usual * sigma
     return mask
+
+
+def line_scatter(boards: PosedBoards, line: LinePoints, board: int) -> tuple[float, float]:
+    """Rms distance in px of points from their straight line, and how many sigmas slow errors are.
+
+    Errors that neighbouring points share do not average as their number says.  What a line's place
+    and lean may be off by is the spectrum of the residuals at long periods: the mean square of
+    their slowest cosines, but for the two that the straight line takes up, over what independent
+    points of their sigma would have, 1.
+
+    Parameters
+    ----------
+    boards : PosedBoards, camera and poses
+    line : LinePoints, px, of FEWEST_POINTS points or more that lie in one straight line
+    board : int, number of the board
+
+    References
+    ----------
+    U. K. Müller, "A theory of robust long-run variance estimation", J. Econometrics 141 (2007)
+    1331, Sec. 4.
+    """
+    locate = partial(boards.locate, board=board)
+    places = locate(line.image_px)
+    places = places - places.mean(axis=0)
+    along, normal = np.linalg.svd(places, full_matrices=False)[2]
+    sigma = np.abs(across_mm(locate, line) @ normal) * line.sigma_px
+    straight_line = np.column_stack([np.ones(len(places)), places @ along]) / sigma[:, None]
+    off = places @ normal / sigma
+    left = off - straight_line @ np.linalg.lstsq(straight_line, off)[0]
+    slow = dct(left[np.argsort(places @ along)], norm="ortho")[2 : 2 + SLOW]
+    rms_px = float(np.sqrt(np.mean((left * line.sigma_px) ** 2)))
+    return rms_px, max(1.0, float(np.sqrt(np.mean(slow**2))))
 
 
 def across_mm(locate: Locate, line: LinePoints) -> Floats:
@@ -136,7 +173,7 @@ class PlaneEquations:
             self._across[board] = across_mm(partial(boards.on_board, board=board), line)
             self._by_own[board] = on_board_derivatives(boards, line.image_px, board)
 
-    def solve(self, q: Floats, used: Mask) -> tuple[Floats, Floats]:
+    def solve(self, q: Floats, used: Mask, shared_px: float = 0.0) -> tuple[Floats, Floats]:
         """(3,) the plane of some views, and (3, 2 V) that takes the numbers' errors to those of q.
 
         The numbers count by the covariance of the poses and of the line points' own noise, which
@@ -148,6 +185,7 @@ class PlaneEquations:
         ----------
         q : (3,) array, 1/mm, camera frame, where the search begins
         used : (V,) mask, of the views that the plane is to rest on
+        shared_px : float, px, as ``shared_px`` gives it
 
         Raises
         ------
@@ -156,8 +194,8 @@ class PlaneEquations:
         """
         takes, of_used = np.zeros((3, 2 * len(self._lines))), np.repeat(used, 2)
         for _ in range(MOST_STEPS):
-            left, by_q, by_theta = (part[of_used] for part in self._system(q))
-            carried = by_theta @ self._poses_root
+            left, by_q, by_theta, by_line = (part[of_used] for part in self._system(q))
+            carried = np.hstack([by_theta @ self._poses_root, shared_px * by_line])
             weight = np.linalg.inv(np.eye(len(left)) + carried @ carried.T)
             normal = by_q.T @ weight @ by_q
             scale = np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -171,8 +209,40 @@ class PlaneEquations:
                 break
         return q, takes
 
-    def chi_squares(self, q: Floats, takes: Floats, used: Mask) -> tuple[float, Floats]:
-        """Of the used views' numbers together, over their degrees of freedom, and (V,) of each's.
+    def shared_px(self, q: Floats, used: Mask) -> float:
+        """What all points of a line are off by together, px, beside what is known.
+
+        One standard uncertainty, across the line, of its place and of its lean at either end, with
+        which the numbers' sum of squares is what their degrees of freedom let expect.
+
+        Parameters
+        ----------
+        q : (3,) array, 1/mm, the plane
+        used : (V,) mask, of the views that it rests on
+
+        References
+        ----------
+        R. C. Paule and J. Mandel, "Consensus values and weighting factors", J. Res. Nat. Bur.
+        Stand. 87 (1982) 377.
+        """
+        left, by_q, by_theta, by_line = (part[np.repeat(used, 2)] for part in self._system(q))
+        carried = by_theta @ self._root
+        known, shared = np.eye(len(left)) + carried @ carried.T, by_line @ by_line.T
+        freedom = len(left) - by_q.shape[1]
+
+        def excess(variance: float) -> float:
+            lower = np.linalg.cholesky(known + variance * shared)
+            design, off = np.linalg.solve(lower, by_q), np.linalg.solve(lower, left)
+            rest = off - design @ np.linalg.lstsq(design, off)[0]
+            return float(rest @ rest) - freedom
+
+        most = 1.0
+        while excess(most) > 0:
+            most *= 4
+        return float(np.sqrt(brentq(excess, 0.0, most, rtol=1e-3))) if excess(0.0) > 0 else 0.0
+
+    def chi_squares(self, q: Floats, takes: Floats, used: Mask) -> Floats:
+        """(V,) chi squared of each view's two numbers.
 
         What the fit leaves is counted by its own covariance, camera and poses included; for a view
         that the plane does not rest on, that is the covariance of its distance from the plane.
@@ -183,29 +253,34 @@ class PlaneEquations:
         takes : (3, 2 V) array, as ``solve`` gave it
         used : (V,) mask, as ``solve`` took it
         """
-        left, by_q, by_theta = self._system(q)
+        left, by_q, by_theta, _ = self._system(q)
         carried = by_theta @ self._root
         leaves = np.eye(len(left)) - by_q @ takes
         covariance = leaves @ (np.eye(len(left)) + carried @ carried.T) @ leaves.T
-        of_used = np.repeat(used, 2)
-        freedom = int(of_used.sum()) - 3
+        freedom = 2 * int(used.sum()) - 3
         places = [slice(2 * k, 2 * k + 2) for k in range(len(used))]
         each = [
             _chi_square(left[at], covariance[at, at], min(2, freedom) if inside else 2)
             for at, inside in zip(places, used, strict=True)
         ]
-        whole = _chi_square(left[of_used], covariance[np.ix_(of_used, of_used)], freedom)
-        return whole / freedom, np.array(each)
+        return np.array(each)
 
-    def own_root(self, q: Floats, takes: Floats) -> Floats:
+    def own_root(self, q: Floats, takes: Floats, shared_px: float) -> Floats:
         """(3, P) square root of the covariance of q for the camera as it is: poses and line.
+
+        What the lines' shared error adds is found with few degrees of freedom: it is larger by
+        Student's factor.
 
         Parameters
         ----------
         q : (3,) array, 1/mm, the plane
         takes : (3, 2 V) array, as ``solve`` gave it
+        shared_px : float, px, as ``solve`` took it
         """
-        return takes @ np.hstack([self._system(q)[2] @ self._poses_root, np.eye(takes.shape[1])])
+        _, _, by_theta, by_line = self._system(q)
+        numbers = int(takes.any(axis=0).sum())
+        shared = shared_px * student_factor(numbers - 3) * by_line
+        return takes @ np.hstack([by_theta @ self._poses_root, np.eye(takes.shape[1]), shared])
 
     def joint_root(self, q: Floats, takes: Floats, own: Floats) -> Floats:
         """(14 + 3, P) square root of the covariance of theta and q.
@@ -221,9 +296,12 @@ class PlaneEquations:
         theta = np.hstack([by_camera[:COUNT], np.zeros((COUNT, own.shape[1]))])
         return np.vstack([theta, np.hstack([through, own])])
 
-    def _system(self, q: Floats) -> tuple[Floats, Floats, Floats]:
-        """The numbers (2 V,), and their derivatives by q (2 V, 3) and by camera and poses."""
-        rows, by_q = [], []
+    def _system(self, q: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+        """The numbers (2 V,), and their derivatives.
+
+        By q (2 V, 3), by camera and poses, and by px of each line's place and lean (2 V, 2 V).
+        """
+        rows, by_q, by_line = [], [], []
         by_theta = np.zeros((2 * len(self._lines), len(self._root)))
         unit = q / np.linalg.norm(q)
         for k, (board, line) in enumerate(self._lines.items()):
@@ -236,11 +314,13 @@ class PlaneEquations:
             rows.append(weigh @ distance_mm(points, q))
             feet = points - np.outer(distance_mm(points, q), unit)  # on the plane
             by_q.append(weigh @ feet / np.linalg.norm(q))
+            off = np.column_stack([np.ones(len(reach)), reach / np.abs(reach).max()])
+            by_line.append(weigh @ (off * (self._across[board] @ unit)[:, None]))
             by_own = weigh @ (unit @ self._by_own[board])
             pose = COUNT + len(POSE) * board
             by_theta[2 * k : 2 * k + 2, :COUNT] = by_own[:, :COUNT]
             by_theta[2 * k : 2 * k + 2, pose : pose + len(POSE)] = by_own[:, COUNT:]
-        return np.concatenate(rows), np.vstack(by_q), by_theta
+        return np.concatenate(rows), np.vstack(by_q), by_theta, block_diag(*by_line)
 
 
 def _chi_square(left: Floats, covariance: Floats, rank: int) -> float:
@@ -396,14 +476,15 @@ def _least_by_chance(off: Floats, half_length: float) -> tuple[int, int, float]:
 
 WRONG_VIEW = 6.0  # sigmas: beyond them a view's line is an outlier
 MEDIAN_CHI_SQUARE = 2 * np.log(2)  # of two degrees of freedom
-MOST_USUAL = 10.0  # sigmas, the usual size beyond which lines do not lie in one plane at all
+MOST_BOWED = 0.005  # of what the lines span, rms off the sheet; good lasers' are straight to 0.001
 BY_CHANCE = 1e-3  # agreements as good among lines at random, above which lines do not agree
 ROUNDS = 20  # of deciding which lines agree; two or three suffice
 LEAST_ANGLE_DEG = 10.0  # between board and sheet; the line's place on the board is unsure below
 MOST_TILT_DEG = 1.0  # standard uncertainty of the sheet's tilt beyond which it is not known
 TOO_FEW_LINES = "the laser's plane needs its line on two boards, usable {}"
 TOO_FEW_AGREE = "too few of the {} laser lines agree on one plane"
-TOO_FAR = "the laser lines lie {:.0f} times as far off one plane as their uncertainties allow"
+NEAR_ENOUGH = " to {:.1f} mm rms, as those of a laser do"
+SCATTERED = "the line's points scatter by {:.1f} px rms, those of a laser's by {:g} px at most"
 
 
 class NoLaserPlane(MeasurementError):
@@ -452,8 +533,9 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
 
     Half of the lines and more may be wrong: at least three, or both of two, must agree.  A view is
     an outlier where its two numbers lie more than WRONG standard uncertainties (or of
-    their usual size, where all that agree are larger) from the plane of those that agree.  The
-    covariance is scaled up by chi squared per degree of freedom of those two numbers where above 1.
+    their usual size, where all that agree are larger) from the plane of those that agree, where
+    its points scatter by more than MOST_SCATTER_PX, and where it lies farther off the plane than
+    MOST_BOWED of what the lines span.  What the points of a line share counts once a line.
 
     Parameters
     ----------
@@ -474,31 +556,41 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
         for board, mask in masks.items()
         if mask.sum() < FEWEST_POINTS
     }
-    usable = {board: select(lines[board], masks[board]) for board in lines if board not in faults}
+    usable = {}
+    for board in [board for board in lines if board not in faults]:
+        line = select(lines[board], masks[board])
+        scatter_px, slow = line_scatter(boards, line, board)
+        if scatter_px > MOST_SCATTER_PX:
+            faults[board] = SCATTERED.format(scatter_px, MOST_SCATTER_PX)
+        else:
+            usable[board] = replace(line, sigma_px=line.sigma_px * slow)
     start = _start(boards, usable, faults)
     agreeing = dict(zip(usable, start.agree, strict=True))
     faults |= _near_the_sheet(boards, usable, start.q_per_mm)
     usable = {board: line for board, line in usable.items() if board not in faults}
     agree = np.array([agreeing[board] for board in usable])
-    _require_agreement(agree, faults)
+    ends = _ends(boards, usable)
+    most_mm = MOST_BOWED * float(np.linalg.norm(np.ptp(ends.reshape(-1, 3), axis=0)))
+    _require_agreement(agree, faults, most_mm)
     equations = PlaneEquations(fit, free, usable)
-    found = _plane_of_agreeing(equations, start.q_per_mm, agree)
-    faults |= _off_the_sheet(boards, usable, found)
-    _require_agreement(found.agree, faults, found.usual)
-    own = equations.own_root(found.q_per_mm, found.takes)
-    own = own * np.sqrt(max(1.0, found.chi_per_freedom))
-    length = np.linalg.norm(found.q_per_mm)
-    unit = found.q_per_mm / length
+    q, agree = _plane_of_agreeing(equations, start.q_per_mm, agree, ends, most_mm)
+    faults |= _off_the_sheet(boards, usable, q, agree)
+    _require_agreement(agree, faults, most_mm)
+    shared_px = equations.shared_px(q, agree)
+    q, takes = equations.solve(q, agree, shared_px)
+    own = equations.own_root(q, takes, shared_px)
+    length = np.linalg.norm(q)
+    unit = q / length
     turning = (np.eye(3) - np.outer(unit, unit)) @ own / length  # of the normal, rad
     if not np.linalg.norm(turning, 2) <= np.radians(MOST_TILT_DEG):
         raise open_plane_error()
     return LaserPlane(
-        q_per_mm=found.q_per_mm,
-        root=equations.joint_root(found.q_per_mm, found.takes, own),
+        q_per_mm=q,
+        root=equations.joint_root(q, takes, own),
         good={board: mask & (board not in faults) for board, mask in masks.items()},
         faults=faults,
         distances_mm={
-            board: distance_mm(boards.on_board(line.image_px, board), found.q_per_mm)
+            board: distance_mm(boards.on_board(line.image_px, board), q)
             for board, line in lines.items()
         },
     )
@@ -508,10 +600,7 @@ def _start(boards: PosedBoards, lines: dict[int, LinePoints], faults: dict[int, 
     """The plane that the most lines agree on; NoLaserPlane where they might by chance."""
     if len(lines) < 2:
         raise NoLaserPlane(TOO_FEW_LINES.format(len(lines)), faults)
-    ends = np.stack(
-        [line_ends(boards.on_board(line.image_px, board)) for board, line in lines.items()]
-    )
-    start = agreed_plane(ends)
+    start = agreed_plane(_ends(boards, lines))
     if len(lines) >= FEWEST_AGREEING and start.by_chance > BY_CHANCE:
         off = {
             board: f"its line lies {mm:.1f} mm off the plane that the most lie near to"
@@ -519,6 +608,12 @@ def _start(boards: PosedBoards, lines: dict[int, LinePoints], faults: dict[int, 
         }
         raise NoLaserPlane(TOO_FEW_AGREE.format(len(lines)), faults | off)
     return start
+
+
+def _ends(boards: PosedBoards, lines: dict[int, LinePoints]) -> Floats:
+    """(V, 2, 3) mm, the ends of lines on boards, camera frame."""
+    each = [line_ends(boards.on_board(line.image_px, board)) for board, line in lines.items()]
+    return np.array(each).reshape(-1, 2, 3)
 
 
 def _near_the_sheet(boards: PosedBoards, lines: dict[int, LinePoints], q: Floats) -> dict[int, str]:
@@ -532,59 +627,46 @@ def _near_the_sheet(boards: PosedBoards, lines: dict[int, LinePoints], q: Floats
     return faults
 
 
-@dataclass(frozen=True)
-class _GatedPlane:
-    """A plane of least squares and the lines that it rests on.
+def _plane_of_agreeing(
+    equations: PlaneEquations, q: Floats, agree: Mask, ends: Floats, most_mm: float
+) -> tuple[Floats, Mask]:
+    """The plane of the lines that agree with it, and (V,) which; as many rounds as that takes.
 
-    takes: (3, 2 V) as PlaneEquations.solve gives it.  agree: (V,) mask, of the lines.
-    chi_per_freedom: of all their numbers.  usual: median of their chi squared over that of
-    two numbers of unit variance, at least 1.
-    """
-
-    q_per_mm: Floats
-    takes: Floats
-    agree: Mask
-    chi_per_freedom: float
-    usual: float
-
-
-def _plane_of_agreeing(equations: PlaneEquations, q: Floats, agree: Mask) -> _GatedPlane:
-    """The plane of the lines that agree with it, until they are the lines that it was solved from.
-
-    q: (3,) 1/mm, the start.  agree: (V,) mask, of the lines that agree on it.
+    q: (3,) 1/mm, the start.  agree: (V,) mask, of the lines that agree on it.  ends: (V, 2, 3) mm,
+    of the lines.  most_mm: rms distance from the plane beyond which none does.
     """
     for _ in range(ROUNDS):
         q, takes = equations.solve(q, agree)
-        per_freedom, chi = equations.chi_squares(q, takes, agree)
+        chi = equations.chi_squares(q, takes, agree)
         usual = max(1.0, float(np.median(chi[agree])) / MEDIAN_CHI_SQUARE)
-        found = _GatedPlane(q, takes, agree, per_freedom, usual)
-        agree = chi <= WRONG_VIEW**2 * usual
-        if (agree == found.agree).all():
+        one, other = distance_mm(ends.reshape(-1, 3), q).reshape(-1, 2).T
+        near = (one**2 + one * other + other**2) / 3 <= most_mm**2  # mean square between the ends
+        before, agree = agree, (chi <= WRONG_VIEW**2 * usual) & near
+        if (agree == before).all() or agree.sum() < 2:
             break
-    return found
+    return q, agree
 
 
 def _off_the_sheet(
-    boards: PosedBoards, lines: dict[int, LinePoints], found: _GatedPlane
+    boards: PosedBoards, lines: dict[int, LinePoints], q: Floats, agree: Mask
 ) -> dict[int, str]:
-    """The faults of the lines that do not agree with the plane; of all where none truly do."""
+    """The faults of the lines that do not agree with the plane."""
     faults = {}
-    for (board, line), agrees in zip(lines.items(), found.agree, strict=True):
-        if not agrees or found.usual > MOST_USUAL**2:
-            off = distance_mm(boards.on_board(line.image_px, board), found.q_per_mm)
+    for (board, line), agrees in zip(lines.items(), agree, strict=True):
+        if not agrees:
+            off = distance_mm(boards.on_board(line.image_px, board), q)
             rms = np.sqrt(np.mean(off**2))
             faults[board] = f"its line lies {rms:.3f} mm rms off the sheet of the other views"
     return faults
 
 
-def _require_agreement(agree: Mask, faults: dict[int, str], usual: float = 1.0) -> None:
-    """Refuse fewer than three lines, or than both of two, and lines that lie too far off.
+def _require_agreement(agree: Mask, faults: dict[int, str], most_mm: float) -> None:
+    """Refuse fewer than three lines, or than both of two.
 
-    agree: (V,) mask, of the lines.  usual: as of _GatedPlane.
+    agree: (V,) mask, of the lines.  most_mm: off the plane, as ``_plane_of_agreeing`` took it.
     """
     if len(agree) < 2:
         raise NoLaserPlane(TOO_FEW_LINES.format(len(agree)), faults)
     if agree.sum() < min(FEWEST_AGREEING, len(agree)):
-        raise NoLaserPlane(TOO_FEW_AGREE.format(len(agree)), faults)
-    if usual > MOST_USUAL**2:
-        raise NoLaserPlane(TOO_FAR.format(np.sqrt(usual)), faults)
+        message = TOO_FEW_AGREE.format(len(agree)) + NEAR_ENOUGH.format(most_mm)
+        raise NoLaserPlane(message, faults)

@@ -15,8 +15,11 @@ from lscan.calibration.planemap import with_medium
 from lscan.camera.posedboards import (
     CAMERA,
     COUNT,
+    GREATEST,
+    LEAST,
     POSE,
     CameraPriors,
+    PortKind,
     PosedBoards,
     priors_of,
 )
@@ -32,7 +35,7 @@ from lscan.camera.resection import (
 )
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import MeasurementError
-from lscan.records import Floats, Mask, select
+from lscan.records import Floats, select
 from lscan.version import __version__
 
 # Whether a camera's pixels are square, as the camera's model takes them to be.
@@ -69,23 +72,25 @@ def oblong_pixels(
     ----------
     Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000).
     """
-    left_px = _left_px(fit.boards, fit.marks, fit.good)
-    if left_px < POOR * float(np.median(own_px)):
+    before_px = left_px(fit)
+    if before_px < POOR * float(np.median(own_px)):
         return ""
     square_px, _ = _pinhole(fit, image_size, cv2.CALIB_FIX_ASPECT_RATIO)
     shaped_px, pixel_height = _pinhole(fit, image_size, 0)
     if square_px < BETTER * shaped_px or abs(pixel_height - 1) < NEARLY_SQUARE:
         return ""
+    if shaped_px > np.sqrt(2) * MISFIT * float(np.median(own_px)) and square_px < 2 * shaped_px:
+        return ""  # which leaves most of the misfit: it has another cause
     if fit.boards.port == "flat":
         boards, square_px = _any_port(fit, priors, 1.0)
         shaped_px = _any_port(fit, priors, pixel_height)[1]
         if square_px < BETTER * shaped_px:
-            if left_px < BETTER * square_px:
+            if before_px < BETTER * square_px:
                 return ""
             theta = dict(zip(CAMERA, boards.theta, strict=False))
             port = ", ".join(f"{name} = {theta[name]:.3g}" for name in ANY_PORT)
             return (
-                f"the port is not as [optics] states it: the marks fit to {left_px:.2f} px rms, "
+                f"the port is not as [optics] states it: the marks fit to {before_px:.2f} px rms, "
                 f"and to {square_px:.2f} px with about {port}; measure it, and state what you find "
                 "with its uncertainty"
             )
@@ -110,12 +115,17 @@ def _any_port(
     marks = replace(fit.marks, image_px=fit.marks.image_px * [1.0, pixel_height])
     start, freed = replace(fit.boards, theta=theta), replace(priors, sigma=sigma)
     boards = fit_boards(start, select(marks, fit.good), freed, TOLERANCE)
-    return boards, _left_px(boards, marks, fit.good)
+    return boards, left_px(replace(fit, boards=boards, marks=marks))
 
 
-def _left_px(boards: PosedBoards, marks: BoardMarks, good: Mask) -> float:
-    """Px rms of what camera and boards leave of the good marks."""
-    return float(np.sqrt(np.mean(marks.missed_px(boards)[good] ** 2)))
+def left_px(fit: CameraFit) -> float:
+    """Px rms, of u and of v, by which a fit misses the marks it rests on.
+
+    Parameters
+    ----------
+    fit : CameraFit, camera and poses
+    """
+    return float(np.sqrt(np.mean(fit.marks.missed_px(fit.boards)[fit.good] ** 2)))
 
 
 def _pinhole(fit: CameraFit, image_size: tuple[int, int], flags: int) -> tuple[float, float]:
@@ -144,12 +154,24 @@ FEWEST_VIEWS = 3  # Zhang 2000, Sec. 3.1: two give a camera without skew, a thir
 FEWEST_MARKS = 6  # of a view; its pose needs four
 WRONG_VIEW = 4.0  # times the median over the views of each one's median residual
 DOUBTFUL_VIEW = 2.0  # times the median over the views of each one's rms, from which it is named
+MISFIT = (
+    2.0  # times the marks' own uncertainty; noise, print and unevenness, each as large, make 1.7
+)
+COMMON = 1.1  # times it: of 400 marks noise alone makes 1.03, and the bend of each view 0.05 more
+MOST_LEFT_PX = 1.0  # rms: no mark that is read at all is read a pixel off as a rule
+STARTS = [CAMERA.index(name) for name in ("thickness_mm", "tilt_x_deg", "tilt_y_deg", "gap_mm")]
+APART = 1.0  # sigma from what is known, where other searches start
 MOST_WRONG = 0.25  # of a view's marks; beyond it the view is an outlier
 LEAST_FOCAL = 0.05  # relative uncertainty of the focal length beyond which it is not known
+MOST_BENT = 0.01  # of a board's half diagonal: how far the bend, which is found, may lift its rim
 ROUNDS = 10
 TOLERANCE = 1e-12  # relative change of the sum of squares
 SETTLED = 1e-3  # relative change of chi squared
 MOST_NAMED = 12  # views that a message names
+NO_MODEL = (
+    "the lens is none that the model describes (it has none of a fisheye), the port is not as "
+    "[optics] says, or the board not as the file says"
+)
 TILTED = "hold it at different tilts, 20 to 45 deg, to different sides"
 
 
@@ -214,7 +236,7 @@ def fit_views(
     ------
     UnsolvedViews
         Where fewer than three views are usable, no camera explains them, their poses do not
-        determine the focal length, or the pixels are not square.
+        determine the focal length, the pixels are not square, or the marks lie pixels off.
 
     References
     ----------
@@ -230,16 +252,17 @@ def fit_views(
             )
         found = [seen for number in numbers if (seen := views[number].marks) is not None]
         marks = found_on(found, range(len(numbers)))
-        if (start := best_start(marks, priors, optics.port, image_size[0])) is None:
+        if (fit := _best_fit(marks, priors, optics.port, image_size[0])) is None:
             message = "no camera explains the views of the board"
             raise UnsolvedViews(message, _views_with_faults(views, faults))
-        fit = _fit(start, marks, priors)
         if (wrong := _worst_view(fit, marks)) is None:
             break
         index, faults[numbers[index]] = wrong
         del numbers[index]
     used = UsedViews(fit, tuple(numbers), faults)
-    message = oblong_pixels(fit, priors, image_size, marks.sigma_px) or _open_focal(fit, priors)
+    message = oblong_pixels(fit, priors, image_size, marks.sigma_px)
+    message = message or _unexplained(fit, marks.sigma_px)
+    message = message or _open_focal(fit, priors, marks.sigma_px)
     if message:
         raise UnsolvedViews(message, fitted_views(views, used))
     return used
@@ -290,18 +313,43 @@ def _views_with_faults(
     ]
 
 
+def _best_fit(
+    marks: BoardMarks, priors: CameraPriors, port: PortKind, width: int
+) -> CameraFit | None:
+    """The fit, from other starts too where it misses the marks; None where there is none.
+
+    A thick slab in front of the camera, tilted, has several minima.  Of the starts on either side
+    of what is known of the port, the one counts that leaves the least of the marks.
+    """
+    half_mm = float(np.linalg.norm(np.ptp(marks.board_mm, axis=0))) / 2
+    bent = replace(priors, bend_per_mm=MOST_BENT / half_mm)
+    own_px, best = float(np.median(marks.sigma_px)), None
+    steps = [np.zeros(COUNT)]
+    steps += [way * APART * np.eye(COUNT)[k] for k in STARTS if priors.sigma[k] for way in (1, -1)]
+    for step in steps:
+        mean = np.clip(priors.mean + step * np.where(step, priors.sigma, 0.0), LEAST, GREATEST)
+        start = best_start(marks, replace(priors, mean=mean), port, width)
+        fit = None if start is None else _fit(start, marks, bent)
+        if fit is not None and (best is None or left_px(fit) < left_px(best)):
+            best = fit
+        if best is not None and left_px(best) < POOR * own_px:
+            break
+    return best
+
+
 def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraFit:
     """The fit to the sound marks, with the marks' uncertainties as it shows them.
 
     What is left beyond the marks' own uncertainties (compression, an uneven board) is taken to
     displace all marks alike, and is added to each one's: a few marks of little noise must not
-    decide alone.
+    decide alone.  Beyond COMMON times those it is the lens's, or the port's, and the same in all
+    views.
     """
     good = np.ones(len(marks.board), dtype=bool)
     own = marks.sigma_px
     boards = fit_boards(start, marks, priors, TOLERANCE)
     chi = chi_square(boards, marks, priors)
-    free = int(priors.free.sum()) + len(boards.theta) - COUNT
+    free = int(priors.free.sum()) + len(boards.theta) - COUNT + len(boards.bend_per_mm)
     for _ in range(ROUNDS):
         miss = marks.missed_px(boards)[good]
         excess = (miss**2).sum() / max(miss.size - free, 1) - np.mean(own[good] ** 2)
@@ -311,7 +359,8 @@ def _fit(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> CameraF
         chi_before, chi = chi, chi_square(boards, select(marks, good), priors)
         if np.isclose(chi, chi_before, rtol=SETTLED) and (good == before).all():
             break
-    return with_covariance(boards, marks, priors, good)
+    left = float(np.sqrt(np.mean(marks.missed_px(boards)[good] ** 2)))
+    return with_covariance(boards, marks, priors, good, left > COMMON * float(np.median(own)))
 
 
 def _unusable(view: CalibrationView) -> str:
@@ -346,19 +395,32 @@ def _worst_view(fit: CameraFit, marks: BoardMarks) -> tuple[int, str] | None:
     return None
 
 
-def _open_focal(fit: CameraFit, priors: CameraPriors) -> str:
-    """What is wrong with poses that leave the focal length open, or "".
+def _unexplained(fit: CameraFit, own_px: Floats) -> str:
+    """What is wrong with marks that lie pixels off, or ""."""
+    left, own = np.sqrt(2) * left_px(fit), np.sqrt(2) * float(np.median(own_px))
+    if left <= (most := max(MOST_LEFT_PX, MISFIT * own)):
+        return ""
+    return (
+        f"the marks lie {left:.1f} px rms off where the camera that fits best sees them, "
+        f"allowed is {most:.1f} px; {NO_MODEL}"
+    )
 
-    Boards that all face the camera do.
+
+def _open_focal(fit: CameraFit, priors: CameraPriors, own_px: Floats) -> str:
+    """What is wrong with views that leave the focal length open, or "".
+
+    Boards that all face the camera do, and a lens that the model does not describe.
     """
     if priors.sigma[0] == 0:
         return ""
     focal, sigma = float(fit.boards.theta[0]), float(np.linalg.norm(fit.root[0]))
     if sigma <= LEAST_FOCAL * focal:
         return ""
+    misfit = left_px(fit) > MISFIT * float(np.median(own_px))
+    why = NO_MODEL if misfit else f"the board faces the camera alike in all of them; {TILTED}"
     return (
         f"the views do not determine the focal length ({focal:.0f} px, standard uncertainty "
-        f"{sigma:.0f} px): the board faces the camera alike in all of them; {TILTED}"
+        f"{sigma:.0f} px): {why}"
     )
 
 
@@ -394,6 +456,16 @@ class SolvedViews:
     def rms_px(self) -> float:
         """Root mean square length of the used marks' residuals in all used views."""
         return _pooled_rms([(view.rms_px, view.marks_used) for view in self.views if view.used])
+
+    @property
+    def misfit(self) -> str:
+        """A warning where the marks lie farther off than they state of themselves; else ""."""
+        seen = [view.marks for view in self.views if view.used and view.marks is not None]
+        own = float(np.median(np.concatenate([marks.sigma_px[marks.found] for marks in seen])))
+        times = self.rms_px / np.sqrt(2) / own
+        if times <= MISFIT:
+            return ""
+        return f"the marks lie {times:.1f} times as far off as they state of themselves: {NO_MODEL}"
 
 
 @dataclass(frozen=True)

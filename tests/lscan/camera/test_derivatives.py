@@ -18,6 +18,7 @@ from lscan.camera.posedboards import (
     POSE,
     PortKind,
     PosedBoards,
+    bend_derivatives,
     image_derivatives,
     on_board_derivatives,
     ray_derivatives,
@@ -92,6 +93,22 @@ def test_derivatives_agree_with_differences(
             return some.on_board(image, number)
 
         assert_alike(on_board_derivatives(boards, image, number), differences(points, boards))
+
+
+def test_a_bent_board_is_seen_and_met_where_it_is() -> None:
+    """By central differences; and a ray through a point's pixel meets the board there again."""
+    theta = np.array([800.0, 320, 240, -0.1, 0, 0, 0, 0, *np.zeros(6), 0.4, -0.3, 0.1, 330, 230, 1])
+    bend, step = np.array([2e-5, -1e-5, 3e-5]), 1e-7
+    boards = PosedBoards(theta, np.array([5.0, -3.0]), "none", bend)
+    places, board = np.array([[90.0, 40.0], [-70.0, 10.0], [5.0, -60.0]]), np.zeros(3, dtype=int)
+    found = bend_derivatives(boards, places, board)
+    for k, way in enumerate(step * np.eye(3)):
+        after, before = (
+            replace(boards, bend_per_mm=bend + side * way).project(places) for side in (1, -1)
+        )
+        np.testing.assert_allclose(found[:, :, k], (after - before) / (2 * step), rtol=1e-4)
+    met = boards.on_board(boards.project(places))
+    np.testing.assert_allclose(met, boards.in_camera(places), rtol=0, atol=1e-4)
 
 
 def test_a_port_that_is_not_there_has_no_derivative() -> None:
