@@ -15,6 +15,7 @@ from lscan.records import Floats
 from lscan.roughness.instrument import ScannerResponse
 from lscan.roughness.patch import Patch, wavenumbers
 from lscan.roughness.spectra import detrend
+from lscan.roughness.whittle import Band, flat_periodogram
 
 HARMONICS = 12
 """With the wave itself: of a crest as sharp as that of 1 - |sin| 2.5 % of the height is beyond."""
@@ -25,7 +26,8 @@ ABOVE = 20.0
 """A peak's height over the median of its surroundings that chance does not reach: of 1e5 values of
 an exponential distribution the largest is 17 medians with 50 %, 20 with 10 %."""
 BEYOND_NYQUIST = 2.0  # that harmonics may lie, in Nyquist's wavenumber
-FINE = 4  # zero padding of the periodogram that the search begins at
+SURROUNDINGS = 4  # rings: of fewer values than some 20 a median would chance to be low
+LEAST_HEIGHT = 2.0  # of a train, in its standard uncertainty
 LEAST_WAVES = 2.0
 FLAT = 3  # coefficients of a plane
 
@@ -74,7 +76,8 @@ def find_ripples(
         The wave that stands out cannot be fitted.
     """
     start = _peak(patch, response or ScannerResponse())
-    return None if start is None else fit_waves(patch, start, harmonics)
+    train = None if start is None else fit_waves(patch, start, harmonics)
+    return train if train and train.height_cm >= LEAST_HEIGHT * train.sigma_height_cm else None
 
 
 def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) -> RippleTrain:
@@ -151,34 +154,19 @@ def _waves(patch: Patch, wavenumber_per_cm: Floats, orders: int) -> Floats:
 
 def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:
     """(2,) rad/cm along y and x of the highest value over its surroundings; None where none is."""
-    z, shape = detrend(patch), tuple(FINE * count for count in patch.z_cm.shape)
-    taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z.shape))
-    power = np.abs(np.fft.fft2(z * taper, shape)) ** 2
-    # The median of the noise's own periodogram: where it is all there is, a ring's is no measure.
-    noise = np.log(2) * patch.noise_cm2 * float((taper[patch.seen] ** 2).sum())
-    y, x = wavenumbers((shape[0], shape[1]), patch.cell_cm)
-    size = np.hypot(y, x)
     least = 2 * np.pi * LEAST_WAVES / min(patch.size_cm)
-    usable = (size >= least) & (size < 0.9 * patch.nyquist_per_cm)
-    usable &= (y > 0) | ((y == 0) & (x > 0))
-    usable &= response.known(y, x)
-    if not usable.any():
+    band = Band(least, 0.9 * patch.nyquist_per_cm)
+    try:
+        y, x, ratio = flat_periodogram(patch, band, response, response.known)
+    except MeasurementError:  # the response is known of too few waves
         return None
-    passed = response(y, x)
-    ring = np.digitize(np.log(np.where(usable, size, least)), np.linspace(
-        np.log(least), np.log(patch.nyquist_per_cm), 12
-    ))  # fmt: skip
-    ratio = np.zeros(shape)
-    for number in np.unique(ring[usable]):
-        inside = usable & (ring == number)
-        # Of a steep spectrum a ring's median is no measure of its inner edge: of K^4 times it is.
-        flat = size[inside] ** 4 / passed[inside]
-        usual = max(float(np.median(power[inside] * flat)), 1e-300)
-        ratio[inside] = power[inside] * flat / np.maximum(usual, noise * flat)
-    best = np.unravel_index(int(np.argmax(ratio)), shape)
-    if ratio[best] < ABOVE:
-        return None
-    return np.array([y[best[0], 0], x[0, best[1]]])
+    edges = np.geomspace(least, band.high_per_cm, SURROUNDINGS + 1)[1:-1]
+    ring = np.digitize(np.hypot(y, x), edges)
+    for number in np.unique(ring):
+        # Ripples lift the law: what is usual around them is that of most values.
+        ratio[ring == number] /= max(float(np.median(ratio[ring == number])), 1e-300)
+    best = int(np.argmax(ratio))
+    return np.array([y[best], x[best]]) if ratio[best] >= ABOVE else None
 
 
 # How much the ripples of a train differ from one another in wavelength and in heading.
