@@ -253,13 +253,15 @@ FEWEST_VALUES = 30
 PARAMETERS = ("ln_w2", "gamma2", "a", "b")  # a and b where the law may be stretched
 DB_PER_LN = 10 / np.log(10)
 LEAST_RING = 1.5  # waves in the shorter side
-LACKING = 0.99
+LEAST_KNOWN = 0.5  # of a ring, for what is passed of it
+PARTS = 8  # of the band, of as many values each
+LACKING = 0.01  # of fields that follow the law: so many are said not to
 MOST_LIFTED = 2.0
 """Expectation over the spectrum itself, beyond which a ring has no limits: more than half of it is
 then leakage and folding, which the law says alone, not the patch."""
 TAILS = 0.025, 0.975  # of chi squared, that a 95 % interval leaves
 
-NO_RINGS = RingSpectrum(*np.zeros((4, 0)))
+NO_RINGS = RingSpectrum(*np.zeros((5, 0)))
 
 Density = Callable[[Floats, Floats], Floats]
 
@@ -281,8 +283,8 @@ class PowerLawFit:
         folds in: the law times how far the patch is off its expectation.  Limits hold the scatter,
         and what the law is not known of leakage and folding; they are NaN where these two are
         expected to be more than all else in the ring
-    lack : float, what the law's lack of fit has widened the uncertainties by: by Birge's ratio over
-        the rings of the band, where that is beyond 99 % of simulated patches; otherwise 1
+    lack : float, what the law's lack of fit has widened the uncertainties by: by Birge's ratio
+        where the patch is less like the law than 99 % of simulated patches; otherwise 1
 
     References
     ----------
@@ -347,17 +349,18 @@ def fit_power_law(
     """
     band = band or usable_band(patch)
     likelihood, theta = _most_likely(patch, band, stretched, response, known)
-    rings = _Rings(patch, likelihood.second, response, theta)
+    rings = _Rings(patch, likelihood, response, known, theta)
     patches = likelihood.simulated_patches(law_of(theta), seed, simulated)
-    score, scores, ratios = likelihood.score(theta), [], []
+    (score, by_end), scores, ratios = likelihood.scores(theta), [], []
+    ends = np.random.default_rng([seed, 18]).standard_normal(simulated)
     for number, z in enumerate(patches, start=1):
-        scores.append(score(z))
+        scores.append(score(z) + ends[number - 1] * by_end)
         ratios.append(rings.ratios(z))
         if progress is not None:
             progress(number, simulated)
-    covariance = likelihood.covariance(theta, np.array(scores))
-    lack = rings.lack(np.array(ratios), band)
-    covariance = covariance * lack**2
+    count, every = len(theta), np.array(scores)
+    lack = _lack_of_fit(score(patch.z_cm)[count:], every[:, count:])
+    covariance = likelihood.covariance(theta, every[:, :count]) * lack**2
     return PowerLawFit(
         law_of(theta),
         PARAMETERS[: len(theta)],
@@ -369,6 +372,19 @@ def fit_power_law(
         rings.spectrum(np.array(ratios), covariance),
         lack,
     )
+
+
+def _lack_of_fit(own: Floats, simulated: Floats) -> float:
+    """Birge's ratio of (F,) sums against (N, F) of simulated patches, 1 where it is one of theirs.
+
+    The largest of three: of the parts of the band, of the bend, and of the directions.
+    """
+    sums = (np.vstack([own, simulated]) / simulated.std(axis=0)) ** 2
+    kinds = np.split(sums, [PARTS, PARTS + 1], axis=1)
+    squares = np.stack([kind.mean(axis=1) for kind in kinds])
+    beyond = squares[:, 0] > np.quantile(squares[:, 1:], 1 - LACKING / len(kinds), axis=1)
+    ratios = squares[beyond, 0] / squares[beyond, 1:].mean(axis=1)
+    return float(np.sqrt(ratios.max(initial=1.0)))
 
 
 def most_likely_law(
@@ -541,19 +557,31 @@ class _Likelihood:
         """(V,) what a sigma of the law's end changes the logarithm of the expectation by."""
         return LAW_ENDS_SIGMA * self._folded.by_end(law_of(theta)) * self._white / expected
 
-    def score(self, theta: Floats) -> Callable[[Floats], Floats]:
-        """(P,) of a patch's heights."""
-        expected = self.expected(theta)
+    def scores(self, theta: Floats) -> tuple[Callable[[Floats], Floats], Floats]:
+        """(P + F,) of a patch's heights: the score, and by how much it is unlike any such law.
+
+        These are sums of periodogram over expectation, less 1, of parts of the band, weighted with
+        the square of the wavenumber's logarithm, and with its direction; less what the law's
+        parameters would follow.  Also what a sigma of the law's end adds to all of these.
+        """
+        expected, (y, x) = self.expected(theta), self.places
         slopes = self.derivatives(theta, expected)
-        return lambda z_cm: slopes.T @ (self.periodogram(z_cm) / expected - 1)
+        size, way = np.log(np.hypot(y, x)), 2 * np.arctan2(y, x)
+        part = np.digitize(size, np.quantile(size, np.arange(1, PARTS) / PARTS))
+        unlike = np.column_stack([
+            part[:, np.newaxis] == np.arange(PARTS), (size - size.mean()) ** 2,
+            np.cos(way), np.sin(way),
+        ])  # fmt: skip
+        unlike = unlike - slopes @ np.linalg.lstsq(slopes, unlike, rcond=None)[0]
+        columns = np.column_stack([slopes, unlike])
+        by_end = columns.T @ self.by_end(theta, expected)
+        return lambda z_cm: columns.T @ (self.periodogram(z_cm) / expected - 1), by_end
 
     def covariance(self, theta: Floats, scores: Floats) -> Floats:
         """(P, P) of the parameters, by (N, P) scores of simulated patches."""
-        expected = self.expected(theta)
-        slopes = self.derivatives(theta, expected)
+        slopes = self.derivatives(theta, self.expected(theta))
         inverse = np.linalg.inv(slopes.T @ slopes)
-        by_end = slopes.T @ self.by_end(theta, expected)
-        return np.asarray(inverse @ (np.cov(scores.T) + np.outer(by_end, by_end)) @ inverse)
+        return np.asarray(inverse @ np.cov(scores.T) @ inverse)
 
     def simulated_patches(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
         """(R, C) cm, patches of a law as the instrument shows it."""
@@ -577,11 +605,18 @@ class _Likelihood:
 class _Rings:
     """Means over rings of a patch's periodogram over its expectation, and what they say of W2."""
 
-    def __init__(self, patch: Patch, second: bool, response: Density | None, theta: Floats) -> None:
+    def __init__(
+        self,
+        patch: Patch,
+        fitted: _Likelihood,
+        response: Density | None,
+        known: Known | None,
+        theta: Floats,
+    ) -> None:
         low, high = 2 * np.pi * LEAST_RING / min(patch.size_cm), patch.nyquist_per_cm
         edges = np.geomspace(low, high, RINGS + 1)
-        parts = list(differences_of(patch, Band(low, high), second))
-        self._likelihood = _Likelihood(patch, parts, response, second)
+        parts = list(differences_of(patch, Band(low, high), fitted.second))
+        self._likelihood = _Likelihood(patch, parts, response, fitted.second)
         self._y, self._x = self._likelihood.places
         held, self._ring = np.unique(
             np.digitize(np.hypot(self._y, self._x), edges) - 1, return_inverse=True
@@ -589,7 +624,8 @@ class _Rings:
         self._middle = np.sqrt(edges[held] * edges[held + 1])
         self._gain = np.concatenate([part.gain for part in parts])
         self._passed = np.ones(()) if response is None else response(self._y, self._x)
-        self._noise = noise_density(patch)
+        told = np.ones(self._y.shape) if known is None else known(self._y, self._x)
+        self._known, self._noise = self._mean(told) >= LEAST_KNOWN, noise_density(patch)
         self._theta, self._expected = theta, self._likelihood.expected(theta)
         self._ratios = self.ratios(patch.z_cm)
 
@@ -600,14 +636,6 @@ class _Rings:
     def ratios(self, z_cm: Floats) -> Floats:
         """(K,) of a patch's heights."""
         return self._mean(self._likelihood.periodogram(z_cm) / self._expected)
-
-    def lack(self, simulated: Floats, band: Band) -> float:
-        """By what uncertainties are too small; of (N, K) ratios of simulated patches."""
-        inside = (self._middle >= band.low_per_cm) & (self._middle <= band.high_per_cm)
-        each = simulated[:, inside]
-        square = (((each - each.mean(axis=0)) / each.std(axis=0)) ** 2).mean(axis=1)
-        own = float((((self._ratios[inside] - each.mean(axis=0)) / each.std(axis=0)) ** 2).mean())
-        return float(np.sqrt(own)) if own > np.quantile(square, LACKING) else 1.0
 
     def spectrum(self, simulated: Floats, covariance: Floats) -> RingSpectrum:
         """W2 with limits, by (N, K) ratios of simulated patches and the law's covariance."""
@@ -627,7 +655,10 @@ class _Rings:
         lifted = self._mean(self._expected / (self._gain * here))
         held = np.abs(np.log(lifted)) <= np.log(MOST_LIFTED)
         low, high = (np.where(held, found * freedom / chdtri(freedom, q), np.nan) for q in TAILS)
-        return RingSpectrum(self._middle, found, low, high)
+        law = law_of(self._theta).density(0.0, self._middle)
+        passed = np.where(self._known, self._mean(shown) - self._noise, np.nan)
+        seabed = law * (found - self._noise) / passed
+        return RingSpectrum(self._middle, found, low, high, seabed)
 
     def _shown(self, theta: Floats) -> Floats:
         """(V,) cm^4, of a law at the middle of the ring: as passed, and the noise."""
