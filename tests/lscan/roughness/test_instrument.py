@@ -107,15 +107,25 @@ def test_sigma_of_a_train_of_ripples_is_its_scatter() -> None:
 
 
 def test_rough_ground_alone_has_no_ripples() -> None:
-    """Of 20 fields one may chance to have a peak; see ABOVE."""
-    fields = [z for seed in range(10) for z in drawn(PowerLaw(3.0, 0.004), (64, 64), 0.1, seed)]
-    assert sum(find_ripples(whole(z, CELL_CM)) is not None for z in fields) <= 4
+    """Of 1,000 fields some 5 may chance to have a peak; see ABOVE."""
+    fields = [z for seed in range(5) for z in drawn(PowerLaw(3.0, 0.004), (64, 64), 0.1, seed)]
+    assert not any(find_ripples(whole(z, CELL_CM)) for z in fields)
+
+
+@pytest.mark.parametrize("gamma2", [2.5, 3.8])
+def test_holes_make_no_ripples(gamma2: float) -> None:
+    """A profile, a track along it and a square missing: leakage along the axes is expected."""
+    for number, hole in enumerate((np.s_[29:30], np.s_[:, 40:41], np.s_[20:36, 8:24])):
+        seen = np.ones((64, 64), dtype=bool)
+        seen[hole] = False
+        for z in drawn(PowerLaw(gamma2, 0.004), seen.shape, CELL_CM, number, 4):
+            assert find_ripples(patch(z, seen, CELL_CM)) is None
 
 
 @pytest.mark.slow  # rough ground alone, above
 def test_what_a_scanner_smooths_has_no_ripples() -> None:
-    """Directions in which little is passed make the others stand out, and noise where nothing is:
-    as many false trains as in rough ground alone, once the response is told."""
+    """Directions in which little is passed make no others stand out, nor does noise where nothing
+    is, whether the response is told or not."""
     response = ScannerResponse(blur_cm=0.15, pixel_cm=0.1)
     noise = 0.002
     rng = np.random.default_rng(3)
@@ -125,9 +135,8 @@ def test_what_a_scanner_smooths_has_no_ripples() -> None:
             y, x = wavenumbers(z.shape, CELL_CM)
             seen = np.fft.ifft2(np.fft.fft2(z) * np.sqrt(response(y, x))).real
             one = patch(seen + rng.normal(0, noise, z.shape), None, CELL_CM, noise**2)
-            found.append((find_ripples(one), find_ripples(one, response=response)))
-    assert sum(untold is not None for untold, _ in found) > 10
-    assert sum(told is not None for _, told in found) <= 4
+            found += [find_ripples(one), find_ripples(one, response=response)]
+    assert sum(train is not None for train in found) <= 2
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,1 @@
+"""Intervals: how often what is stated holds the truth, counted over draws."""
