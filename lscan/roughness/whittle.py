@@ -624,7 +624,9 @@ class _Rings:
         self._middle = np.sqrt(edges[held] * edges[held + 1])
         self._gain = np.concatenate([part.gain for part in parts])
         self._passed = np.ones(()) if response is None else response(self._y, self._x)
-        told = np.ones(self._y.shape) if known is None else known(self._y, self._x)
+        told = np.ones(self._y.shape)
+        if known is not None:
+            told = np.asarray(known(self._y, self._x), dtype=float)
         self._known, self._noise = self._mean(told) >= LEAST_KNOWN, noise_density(patch)
         self._theta, self._expected = theta, self._likelihood.expected(theta)
         self._ratios = self.ratios(patch.z_cm)
