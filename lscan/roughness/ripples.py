@@ -43,8 +43,9 @@ class RippleTrain:
     height_cm : float, cm, from trough to crest, of the places that were measured
     amplitudes_cm : (H,) array, cm, of the wave and its harmonics
     wavenumber_per_cm : (2,) array, rad/cm along y and x, of the wave
-    sigma_wavelength_cm, sigma_heading_deg, sigma_height_cm : float, standard uncertainties where
-        what is left is white
+    sigma_wavelength_cm, sigma_heading_deg : float, standard uncertainties, by the power of what is
+        left around the wave
+    sigma_height_cm : float, the same where what is left is white
     """
 
     wavelength_cm: float
@@ -111,8 +112,12 @@ def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) ->
     coefficients = np.linalg.lstsq(design, z, rcond=None)[0]
     cosines, sines = np.split(coefficients[FLAT:], 2)
     variance = float((found.fun**2).mean()) * len(z) / (len(z) - len(coefficients) - 2)
-    slopes = np.asarray(found.jac)
-    of_k = np.linalg.inv(slopes.T @ slopes) * variance
+    slopes, left = np.asarray(found.jac), np.zeros_like(patch.z_cm)
+    left[patch.seen] = z - design @ coefficients
+    power = _periodogram(replace(patch, z_cm=left))
+    peak = _Peak.of(found.x, power.shape, patch.cell_cm)
+    # Derivatives by the wavenumber are waves as long: of the rest, what is as long counts.
+    of_k = np.linalg.inv(slopes.T @ slopes) * peak.beneath(power).flat[peak.far.argmin()]
     size = float(np.linalg.norm(found.x))
     along = found.x / size
     across = np.array([-along[1], along[0]])
@@ -210,17 +215,18 @@ def ripple_spread(patch: Patch, train: RippleTrain) -> RippleSpread:
     rest = without_ripples(patch, train)
     waves = replace(patch, z_cm=patch.z_cm - rest.z_cm)
     whole, single, other = (_periodogram(each) for each in (patch, waves, rest))
-    peak = _Peak.of(train, whole.shape, patch.cell_cm)
+    peak = _Peak.of(train.wavenumber_per_cm, whole.shape, patch.cell_cm)
     spread = peak.variances(whole - peak.beneath(other)) - peak.variances(single)
     along, across = np.sqrt(np.maximum(spread, 0.0))
     return RippleSpread(float(along), float(np.degrees(across)))
 
 
 def _periodogram(patch: Patch) -> Floats:
+    """(R', C') cm², of white noise its variance."""
     z_cm = detrend(patch)
     taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z_cm.shape))
     shape = [PADDING * count for count in z_cm.shape]
-    return np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2
+    return np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2 / float((taper[patch.seen] ** 2).sum())
 
 
 @dataclass(frozen=True)
@@ -235,9 +241,9 @@ class _Peak:
     far: Floats
 
     @staticmethod
-    def of(train: RippleTrain, shape: tuple[int, ...], cell_cm: float) -> "_Peak":
+    def of(wavenumber_per_cm: Floats, shape: tuple[int, ...], cell_cm: float) -> "_Peak":
         y, x = wavenumbers((shape[0], shape[1]), cell_cm)
-        to_y, to_x = train.wavenumber_per_cm / np.sum(train.wavenumber_per_cm**2)
+        to_y, to_x = wavenumber_per_cm / np.sum(wavenumber_per_cm**2)
         along, across = y * to_y + x * to_x - 1, x * to_y - y * to_x
         return _Peak(along, across, (along / ALONG) ** 2 + (across / ACROSS) ** 2)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from rough_patches import drawn, patch, wave, whole
+from rough_patches import drawn, holes, patch, wave, whole
 from typer.testing import CliRunner
 
 from lscan.cli.app import app
@@ -104,6 +104,20 @@ def test_sigma_of_a_train_of_ripples_is_its_scatter() -> None:
         scatter = np.std([getattr(fit, name) for fit in fits], ddof=1)
         stated = np.median([getattr(fit, f"sigma_{name}") for fit in fits])
         assert scatter == pytest.approx(stated, rel=4 / 200**0.5), name
+
+
+def test_sigma_of_a_train_knows_that_the_ground_is_not_white() -> None:
+    """The errors over their sigmas, of wavelength and heading, on ground of a power law with holes:
+    the mean square of 32 is within a factor of two, beyond which it is once in 1,000."""
+    shape, seen, off = (64, 64), holes((64, 64), 0.1, 3), list[float]()
+    start = 2 * np.pi * 5 / 6.4 * np.array([np.sin(0.7), np.cos(0.7)])
+    crests = wave(shape, CELL_CM, 5.0, np.degrees(0.7), 0.2)
+    for seed in range(8):
+        for z in drawn(PowerLaw(3.0, 2e-4), shape, CELL_CM, seed):
+            train = fit_waves(patch(z + crests, seen, CELL_CM), start, 1)
+            off += [(train.wavelength_cm - 1.28) / train.sigma_wavelength_cm,
+                    (train.heading_deg - np.degrees(0.7)) / train.sigma_heading_deg]  # fmt: skip
+    assert 0.5 < np.mean(np.square(off)) < 2.0
 
 
 def test_rough_ground_alone_has_no_ripples() -> None:

@@ -116,7 +116,8 @@ def test_known_noise_and_response_are_taken_off() -> None:
                          response=response)  # fmt: skip
     untold = fit(whole(noisy[inner], CELL_CM))
     assert abs(told.law.gamma2 - 3.2) < 3 * told.sigma_gamma2
-    assert abs(untold.law.gamma2 - 3.2) > 3 * untold.sigma_gamma2
+    assert abs(untold.law.gamma2 - 3.2) > 3 * untold.sigma_gamma2 / untold.lack
+    assert told.lack == 1 and untold.lack > 2  # which says that this one is off
 
 
 @pytest.mark.parametrize("second", [False, True])
