@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.records import Status, Surface
 from lscan.roughness import (
     PowerLaw,
+    Roughness,
     ScannerResponse,
     cutoff_per_cm,
     find_ripples,
@@ -170,7 +172,9 @@ def surface_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-def test_the_command_says_shows_and_keeps(surface_file: Path, tmp_path: Path) -> None:
+def test_the_command_says_shows_and_keeps(
+    surface_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     said = CliRunner().invoke(
         app,
         ["roughness", str(surface_file), "--cell", "2", "--json", "-o", str(tmp_path / "r.nc"),
@@ -182,13 +186,23 @@ def test_the_command_says_shows_and_keeps(surface_file: Path, tmp_path: Path) ->
     assert found["w2_low_cm4"] < 0.004 < found["w2_high_cm4"]
     with xr.open_dataset(tmp_path / "r.nc") as kept:
         assert kept.attrs["gamma2"] == pytest.approx(found["gamma2"])
+        assert (kept["w2_ring_low"] < kept["w2_ring"]).sum() > 10
         assert kept["w2"].dims == ("ky", "kx") and kept["w2"].attrs["units"] == "cm4"
     assert {file.name for file in (tmp_path / "figures").iterdir()} == {
         "spectrum.png", "plane.png", "rose.png",
     }  # fmt: skip
+    assert "does not follow" not in said.stderr
+
+    def lacking(*args: Any, **options: Any) -> Roughness:
+        whole = roughness_of(*args, **options)
+        return replace(whole, fit=replace(whole.fit, lack=2.3))
+
+    monkeypatch.setattr("lscan.roughness.roughness_of", lacking)
     plain = CliRunner().invoke(
         app, ["roughness", str(surface_file), "--cell", "2", "--sediment", "fine sand"]
     )
+    assert "does not follow the power law" in " ".join(plain.stderr.split())
+    assert "2.3 times as wide" in " ".join(plain.stderr.split())
     assert plain.exit_code == 0 and "spectral exponent" in plain.output
     assert "backscatter of fine sand" in plain.output
 
