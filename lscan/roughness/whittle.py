@@ -248,6 +248,7 @@ BEGIN = 3.0  # spectral exponent where the search begins: the middle of what is 
 SIMULATED_PADDING = 2
 SIMULATED = 400  # patches: J's variances are then known to 7 %
 STEPS, CLOSE = 400, 1e-8  # scoring nears a flat maximum by a tenth a step
+WHOLE_STEPS = 20  # by then it goes to and fro across a sharp one, or slowly: halves end both
 DIFFERENCE = 1e-4  # of a parameter, for derivatives of the spectrum
 FEWEST_VALUES = 30
 PARAMETERS = ("ln_w2", "gamma2", "a", "b")  # a and b where the law may be stretched
@@ -531,12 +532,13 @@ class _Likelihood:
         theta = theta.copy()
         theta[0] += np.log(np.mean(self.values / self.expected(theta)))
         size, expected = self._cost(theta)
-        for _ in range(STEPS):
+        for number in range(STEPS):
             slopes = self.derivatives(theta, expected)
             normal = slopes.T @ slopes
             if not np.isfinite(normal).all() or np.linalg.matrix_rank(normal) < len(theta):
                 break  # as where all is noise
             step = np.linalg.solve(normal, slopes.T @ (self.values / expected - 1))
+            step = step if number < WHOLE_STEPS else step / 2
             for _ in range(STEPS):
                 found, there = self._cost(theta + step)
                 if found <= size + 1e-9 * abs(size):

@@ -37,7 +37,7 @@ WAYS = np.linspace(0.0, np.pi, 90, endpoint=False)  # that a ring's true mean is
 
 
 @dataclass(frozen=True)
-class FieldEffort:
+class LawEffort:
     """fields: of each exponent, response and kind of hole, an even number; side: of theirs, cells;
     simulated: patches that intervals come from.  exponents: of the laws."""
 
@@ -47,8 +47,8 @@ class FieldEffort:
     exponents: tuple[float, ...] = (2.5, 3.0, 3.3, 3.8)
 
 
-FULL = FieldEffort()
-QUICK = FieldEffort(fields=2, side=32, simulated=40, exponents=(2.5, 3.8))
+FULL = LawEffort()
+QUICK = LawEffort(fields=2, side=32, simulated=40, exponents=(2.5, 3.8))
 
 
 def rough_rows(quick: bool) -> list[Row]:
@@ -86,7 +86,7 @@ def rough_rows(quick: bool) -> list[Row]:
 
 
 def _patches(
-    effort: FieldEffort, missing: str, response: ScannerResponse
+    effort: LawEffort, missing: str, response: ScannerResponse
 ) -> Iterator[tuple[PowerLaw, Patch]]:
     shape = effort.side, effort.side
     for exponent, gamma2 in enumerate(effort.exponents):
@@ -148,7 +148,7 @@ LAWLESS: Mapping[str, Density] = {
 }
 
 
-def _unlike_row(name: str, density: Density, effort: FieldEffort) -> Row:
+def _unlike_row(name: str, density: Density, effort: LawEffort) -> Row:
     """How many of the fields are refused or said to lack a fit."""
     count, shape = 0, (effort.side, effort.side)
     for number in range(0, effort.fields, 2):
