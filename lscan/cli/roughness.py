@@ -88,6 +88,11 @@ def roughness(
         note("steps lie in the patch, such as a rim: ripples, law and intervals are not valid")
     with progress_bar("roughness") as progress:
         found = rough.roughness_of(patch, response, stretched=stretched, progress=progress)
+    if found.fit.lack > 1:
+        note(
+            "the patch does not follow the power law: its intervals, and those of the backscatter, "
+            f"are {found.fit.lack:.1f} times as wide"
+        )
     if output:
         save_roughness(output, patch, found)
     if figures:
@@ -154,12 +159,14 @@ def _in_band(row: dict[str, float], found: Roughness) -> str:
 
 def _rows(found: Roughness) -> list[list[str]]:
     of, fit = found.figures(), found.fit
+    unheld = int(np.isnan(fit.rings.low_cm4).sum())
     rows = [
         ["spectral exponent", f"{of['gamma2']:.3f}",
          f"{of['gamma2_low']:.3f} to {of['gamma2_high']:.3f}"],
         ["spectral strength, cm^4", f"{of['w2_cm4']:.4g}",
          f"{of['w2_low_cm4']:.4g} to {of['w2_high_cm4']:.4g}"],
         ["between, rad/cm", f"{fit.band.low_per_cm:.3g} to {fit.band.high_per_cm:.3g}", ""],
+        ["rings without limits: leakage, folding", f"{unheld} of {len(fit.rings.low_cm4)}", ""],
         ["the instrument's cutoff, rad/cm", f"{found.cutoff_per_cm:.3g}", ""],
         ["rms height, cm", f"{of['rms_height_cm']:.4g}", ""],
         ["rms slope along x, along y", f"{of['rms_slope_x']:.3g}, {of['rms_slope_y']:.3g}", ""],

@@ -31,7 +31,6 @@ from lscan.roughness.ripples import (
 from lscan.roughness.spectra import (
     PatchSpectrum,
     ProfileSpectrum,
-    RingSpectrum,
     RoughnessMoments,
     by_rings,
     capon_spectrum,
@@ -76,7 +75,8 @@ class Roughness:
     def figures(self) -> dict[str, float]:
         """The numbers by name, units in the names; _sigma: standard uncertainty.
 
-        low and high are the ends of a 95 % interval.
+        low and high are the ends of a 95 % interval.  lack_of_fit: how many times wider intervals
+        are for what the law does not fit.
         """
         fit, law = self.fit, self.fit.law
         w2_db = 10 * log10(law.w2_cm4)
@@ -91,6 +91,7 @@ class Roughness:
             "band_low_per_cm": fit.band.low_per_cm,
             "band_high_per_cm": fit.band.high_per_cm,
             "cutoff_per_cm": self.cutoff_per_cm,
+            "lack_of_fit": fit.lack,
             **asdict(self.moments),
         }
         if law.stretch != (0.0, 0.0):
@@ -157,6 +158,7 @@ def roughness_of(
 # The NetCDF file of a patch's roughness.
 
 
+UNHELD = "none where leakage and folding are expected to be more than all else"
 CAPON = 4  # stretches of a profile: as short as a wave of which the profile has four
 
 
@@ -178,16 +180,19 @@ def save_roughness(path: Path, patch: Patch, found: Roughness) -> None:
     InputError
         The file cannot be written.
     """
-    plane, rings, corrected = found.spectrum, by_rings(found.spectrum), by_rings(found.corrected)
+    plane, rings = found.spectrum, found.fit.rings
+    assert rings.seabed_cm4 is not None
     arrays = {
         "w2": _array(("ky", "kx"), plane.density_cm4, "cm4", "roughness spectrum"),
-        "w2_ring": _array(("k",), rings.density_cm4, "cm4", "its mean over rings"),
-        "w2_ring_corrected": _array(
-            ("k",), _at(rings.wavenumber_per_cm, corrected), "cm4",
-            "its mean over rings, less noise, over the response",
+        "w2_ring": _array(
+            ("k",), rings.density_cm4, "cm4",
+            "mean over rings, less ripples and what leaks and folds in",
         ),
-        "w2_ring_low": _array(("k",), rings.low_cm4, "cm4", "lower 95 % limit"),
-        "w2_ring_high": _array(("k",), rings.high_cm4, "cm4", "upper 95 % limit"),
+        "w2_ring_corrected": _array(
+            ("k",), rings.seabed_cm4, "cm4", "its mean over rings, less noise, over the response"
+        ),
+        "w2_ring_low": _array(("k",), rings.low_cm4, "cm4", f"lower 95 % limit; {UNHELD}"),
+        "w2_ring_high": _array(("k",), rings.high_cm4, "cm4", f"upper 95 % limit; {UNHELD}"),
         "ky": _wavenumbers("ky", plane.along_y_per_cm.ravel(), "wavenumber along y"),
         "kx": _wavenumbers("kx", plane.along_x_per_cm.ravel(), "wavenumber along x"),
         "k": _wavenumbers("k", rings.wavenumber_per_cm, "wavenumber of the ring"),
@@ -238,12 +243,6 @@ def _profile_spectra(patch: Patch, axis: int) -> dict[str, ProfileSpectrum]:
     return found
 
 
-def _at(wavenumber_per_cm: Floats, rings: RingSpectrum) -> Floats:
-    """Rings at wavenumbers of other rings, NaN beyond: some rings have no value that is known."""
-    known = rings.wavenumber_per_cm, rings.density_cm4
-    return np.asarray(np.interp(wavenumber_per_cm, *known, left=np.nan, right=np.nan))
-
-
 # Figures of a patch's roughness: its spectrum with band and cutoff, its plane, its rose.
 
 
@@ -287,13 +286,18 @@ def draw_spectrum(patch: Patch, found: Roughness, response: ScannerResponse) -> 
     """
     figure = Figure(figsize=(WIDTH_IN, 3.6), layout="constrained")
     axes = figure.add_subplot()
-    rings, corrected, fit = by_rings(found.spectrum), by_rings(found.corrected), found.fit
+    whole, fit = by_rings(found.spectrum), found.fit
+    axes.plot(whole.wavenumber_per_cm, whole.density_cm4, color=MUTED, linewidth=0.8,
+              label="with ripples and leakage")  # fmt: skip
+    rings = fit.rings
+    assert rings.seabed_cm4 is not None
     axes.fill_between(
         rings.wavenumber_per_cm, rings.low_cm4, rings.high_cm4, color=SECOND, alpha=0.2
     )
-    axes.plot(rings.wavenumber_per_cm, rings.density_cm4, color=SECOND, label="measured, 95 %")
-    known = corrected.wavenumber_per_cm <= found.cutoff_per_cm
-    axes.plot(corrected.wavenumber_per_cm[known], corrected.density_cm4[known],
+    axes.plot(rings.wavenumber_per_cm, rings.density_cm4, color=SECOND,
+              label="without, 95 %")  # fmt: skip
+    known = rings.wavenumber_per_cm <= found.cutoff_per_cm
+    axes.plot(rings.wavenumber_per_cm[known], rings.seabed_cm4[known],
               color=ACCENT, label="less noise, over the response")  # fmt: skip
     size = np.geomspace(fit.band.low_per_cm, fit.band.high_per_cm, 100)
     law = fit.law.density(0 * size, size)

@@ -7,9 +7,12 @@ the instrument that is measured.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.special import ndtr
 
 from lscan.config.rig import Rig, SheetSection, StripeSection
@@ -300,6 +303,84 @@ def cutoff_per_cm(law: PowerLaw, patch: Patch, response: ScannerResponse) -> flo
     lifted = np.where(weight > 0, noise, 0.0).sum(axis=1) > (10 ** (FARTHEST_DB / 10) - 1) * total
     beyond = np.flatnonzero(lifted | (total == 0))
     return float(size[beyond[0], 0]) if len(beyond) else patch.nyquist_per_cm
+
+
+# What a grid folds in: power of waves that are shorter than it can show.
+#
+# A seabed's law goes on beyond the grid.  Heights sampled every cell have the spectrum summed over
+# all wavenumbers that the cells cannot tell apart, which are 2 pi / cell from one another; of each
+# the instrument has passed its share before (Bracewell, The Fourier Transform and Its Applications,
+# 3rd ed. 2000, ch. 10).  The nearest are summed one by one, at few nodes, for their sum is smooth;
+# those beyond change so little from one wavenumber of the grid to another that they are white.
+# Points in a cell count as many: of a cell that averages few, what they fold in themselves is left
+# out.
+
+
+ZONES = 3  # of wavenumbers, to either side, that are summed one by one
+NODES = 33  # from one Nyquist wavenumber to the other, of a cubic spline
+LAW_ENDS = 16.0
+"""Nyquist's wavenumbers that a law is taken to go on to.  Where it ends, with the grains at last,
+cells cannot tell: that is known to a factor of two, and part of a fit's uncertainty."""
+LAW_ENDS_SIGMA = float(np.log(2))  # of its logarithm
+RAYS, RADII = 48, 24  # that white power is summed on
+
+
+class FoldedPower:
+    """Spectrum that sampling adds to a law's own.
+
+    Parameters
+    ----------
+    cell_cm : float, cm, distance of the samples, both ways
+    response : callable, optional, of rad/cm along y and x: share of the power that is passed
+    """
+
+    def __init__(
+        self, cell_cm: float, response: Callable[[Floats, Floats], Floats] | None = None
+    ) -> None:
+        nyquist, zones = np.pi / cell_cm, np.arange(-ZONES, ZONES + 1)
+        self._nodes = np.linspace(-nyquist, nyquist, NODES)
+        away = np.array([(y, x) for y in zones for x in zones if y or x]) * 2 * nyquist
+        self._near = (
+            self._nodes[:, np.newaxis] + away[:, 0, np.newaxis, np.newaxis],
+            self._nodes + away[:, 1, np.newaxis, np.newaxis],
+        )
+        way = np.pi * (np.arange(RAYS)[:, np.newaxis] + 0.5) / RAYS
+        least = (2 * ZONES + 1) * nyquist / np.maximum(np.abs(np.cos(way)), np.sin(way))
+        decades = np.log(LAW_ENDS * nyquist / least)
+        size = least * np.exp(decades * (np.arange(RADII) + 0.5) / RADII)
+        self._far = size * np.sin(way), size * np.cos(way)
+        end = LAW_ENDS * nyquist
+        self._end = end * np.sin(way), end * np.cos(way)
+        # An area in polar coordinates, of both halves, for each of the zones' own.
+        self._area = size**2 * decades / RADII * 2 * np.pi / RAYS / (2 * nyquist) ** 2
+        self._area_at_end = end**2 * 2 * np.pi / RAYS / (2 * nyquist) ** 2
+        self._passed = [
+            np.ones(()) if response is None else response(*plane)
+            for plane in (self._near, self._far, self._end)
+        ]
+
+    def of(self, law: PowerLaw, along_y: Floats, along_x: Floats) -> Floats:
+        """(P, Q) cm^4, at wavenumbers that the cells can tell apart.
+
+        Parameters
+        ----------
+        law : PowerLaw
+        along_y, along_x : (P, 1) and (1, Q) array, rad/cm, in any order
+        """
+        near = (law.density(*self._near) * self._passed[0]).sum(axis=0)
+        white = (law.density(*self._far) * self._passed[1] * self._area).sum()
+        # No finite power, as of a step of a search, is one that the search judges.
+        spline = partial(make_interp_spline, self._nodes, check_finite=False)
+        return np.asarray(spline(spline(near)(along_y.ravel()), axis=1)(along_x.ravel()) + white)
+
+    def by_end(self, law: PowerLaw) -> float:
+        """cm^4, derivative by the logarithm of the wavenumber that the law goes on to: white.
+
+        Parameters
+        ----------
+        law : PowerLaw
+        """
+        return float((law.density(*self._end) * self._passed[2] * self._area_at_end).sum())
 
 
 # The response of the scanner that a rig file describes, at a surface that it scanned.

@@ -45,7 +45,10 @@ class Patch:
     points_cells: float = 1.0
 
     def __post_init__(self) -> None:
-        """Raise MeasurementError where the patch is too small or has too many holes."""
+        """Raise MeasurementError where the patch is too small or has too many holes.
+
+        What is not seen is not looked at: whatever stands there becomes 0.
+        """
         if min(self.z_cm.shape) < FEWEST:
             rows, columns = self.z_cm.shape
             what = f"roughness: a patch of {rows} by {columns} cells, {FEWEST} a side are needed"
@@ -56,6 +59,11 @@ class Patch:
                 f"roughness: {share:.0%} of the patch's cells are measured, "
                 f"{LEAST_SEEN:.0%} are needed"
             )
+        heights = np.where(self.seen, self.z_cm, 0.0)
+        if unknown := int((~np.isfinite(heights)).sum()):
+            what = f"roughness: {unknown} cells that are seen have no height, none is allowed"
+            raise MeasurementError(what)
+        object.__setattr__(self, "z_cm", heights)
 
     @property
     def points_noise_cm2(self) -> float:

@@ -15,6 +15,7 @@ from lscan.records import Floats
 from lscan.roughness.instrument import ScannerResponse
 from lscan.roughness.patch import Patch, wavenumbers
 from lscan.roughness.spectra import detrend
+from lscan.roughness.whittle import Band, flat_periodogram
 
 HARMONICS = 12
 """With the wave itself: of a crest as sharp as that of 1 - |sin| 2.5 % of the height is beyond."""
@@ -25,7 +26,8 @@ ABOVE = 20.0
 """A peak's height over the median of its surroundings that chance does not reach: of 1e5 values of
 an exponential distribution the largest is 17 medians with 50 %, 20 with 10 %."""
 BEYOND_NYQUIST = 2.0  # that harmonics may lie, in Nyquist's wavenumber
-FINE = 4  # zero padding of the periodogram that the search begins at
+SURROUNDINGS = 4  # rings: of fewer values than some 20 a median would chance to be low
+LEAST_HEIGHT = 2.0  # of a train, in its standard uncertainty
 LEAST_WAVES = 2.0
 FLAT = 3  # coefficients of a plane
 
@@ -41,8 +43,9 @@ class RippleTrain:
     height_cm : float, cm, from trough to crest, of the places that were measured
     amplitudes_cm : (H,) array, cm, of the wave and its harmonics
     wavenumber_per_cm : (2,) array, rad/cm along y and x, of the wave
-    sigma_wavelength_cm, sigma_heading_deg, sigma_height_cm : float, standard uncertainties where
-        what is left is white
+    sigma_wavelength_cm, sigma_heading_deg : float, standard uncertainties, by the power of what is
+        left around the wave
+    sigma_height_cm : float, the same where what is left is white
     """
 
     wavelength_cm: float
@@ -74,7 +77,8 @@ def find_ripples(
         The wave that stands out cannot be fitted.
     """
     start = _peak(patch, response or ScannerResponse())
-    return None if start is None else fit_waves(patch, start, harmonics)
+    train = None if start is None else fit_waves(patch, start, harmonics)
+    return train if train and train.height_cm >= LEAST_HEIGHT * train.sigma_height_cm else None
 
 
 def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) -> RippleTrain:
@@ -108,8 +112,12 @@ def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) ->
     coefficients = np.linalg.lstsq(design, z, rcond=None)[0]
     cosines, sines = np.split(coefficients[FLAT:], 2)
     variance = float((found.fun**2).mean()) * len(z) / (len(z) - len(coefficients) - 2)
-    slopes = np.asarray(found.jac)
-    of_k = np.linalg.inv(slopes.T @ slopes) * variance
+    slopes, left = np.asarray(found.jac), np.zeros_like(patch.z_cm)
+    left[patch.seen] = z - design @ coefficients
+    power = _periodogram(replace(patch, z_cm=left))
+    peak = _Peak.of(found.x, power.shape, patch.cell_cm)
+    # Derivatives by the wavenumber are waves as long: of the rest, what is as long counts.
+    of_k = np.linalg.inv(slopes.T @ slopes) * peak.beneath(power).flat[peak.far.argmin()]
     size = float(np.linalg.norm(found.x))
     along = found.x / size
     across = np.array([-along[1], along[0]])
@@ -151,34 +159,19 @@ def _waves(patch: Patch, wavenumber_per_cm: Floats, orders: int) -> Floats:
 
 def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:
     """(2,) rad/cm along y and x of the highest value over its surroundings; None where none is."""
-    z, shape = detrend(patch), tuple(FINE * count for count in patch.z_cm.shape)
-    taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z.shape))
-    power = np.abs(np.fft.fft2(z * taper, shape)) ** 2
-    # The median of the noise's own periodogram: where it is all there is, a ring's is no measure.
-    noise = np.log(2) * patch.noise_cm2 * float((taper[patch.seen] ** 2).sum())
-    y, x = wavenumbers((shape[0], shape[1]), patch.cell_cm)
-    size = np.hypot(y, x)
     least = 2 * np.pi * LEAST_WAVES / min(patch.size_cm)
-    usable = (size >= least) & (size < 0.9 * patch.nyquist_per_cm)
-    usable &= (y > 0) | ((y == 0) & (x > 0))
-    usable &= response.known(y, x)
-    if not usable.any():
+    band = Band(least, 0.9 * patch.nyquist_per_cm)
+    try:
+        y, x, ratio = flat_periodogram(patch, band, response, response.known)
+    except MeasurementError:  # the response is known of too few waves
         return None
-    passed = response(y, x)
-    ring = np.digitize(np.log(np.where(usable, size, least)), np.linspace(
-        np.log(least), np.log(patch.nyquist_per_cm), 12
-    ))  # fmt: skip
-    ratio = np.zeros(shape)
-    for number in np.unique(ring[usable]):
-        inside = usable & (ring == number)
-        # Of a steep spectrum a ring's median is no measure of its inner edge: of K^4 times it is.
-        flat = size[inside] ** 4 / passed[inside]
-        usual = max(float(np.median(power[inside] * flat)), 1e-300)
-        ratio[inside] = power[inside] * flat / np.maximum(usual, noise * flat)
-    best = np.unravel_index(int(np.argmax(ratio)), shape)
-    if ratio[best] < ABOVE:
-        return None
-    return np.array([y[best[0], 0], x[0, best[1]]])
+    edges = np.geomspace(least, band.high_per_cm, SURROUNDINGS + 1)[1:-1]
+    ring = np.digitize(np.hypot(y, x), edges)
+    for number in np.unique(ring):
+        # Ripples lift the law: what is usual around them is that of most values.
+        ratio[ring == number] /= max(float(np.median(ratio[ring == number])), 1e-300)
+    best = int(np.argmax(ratio))
+    return np.array([y[best], x[best]]) if ratio[best] >= ABOVE else None
 
 
 # How much the ripples of a train differ from one another in wavelength and in heading.
@@ -222,17 +215,18 @@ def ripple_spread(patch: Patch, train: RippleTrain) -> RippleSpread:
     rest = without_ripples(patch, train)
     waves = replace(patch, z_cm=patch.z_cm - rest.z_cm)
     whole, single, other = (_periodogram(each) for each in (patch, waves, rest))
-    peak = _Peak.of(train, whole.shape, patch.cell_cm)
+    peak = _Peak.of(train.wavenumber_per_cm, whole.shape, patch.cell_cm)
     spread = peak.variances(whole - peak.beneath(other)) - peak.variances(single)
     along, across = np.sqrt(np.maximum(spread, 0.0))
     return RippleSpread(float(along), float(np.degrees(across)))
 
 
 def _periodogram(patch: Patch) -> Floats:
+    """(R', C') cm², of white noise its variance."""
     z_cm = detrend(patch)
     taper = np.outer(*(np.hanning(count + 2)[1:-1] for count in z_cm.shape))
     shape = [PADDING * count for count in z_cm.shape]
-    return np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2
+    return np.abs(np.fft.fft2(z_cm * taper, shape)) ** 2 / float((taper[patch.seen] ** 2).sum())
 
 
 @dataclass(frozen=True)
@@ -247,9 +241,9 @@ class _Peak:
     far: Floats
 
     @staticmethod
-    def of(train: RippleTrain, shape: tuple[int, ...], cell_cm: float) -> "_Peak":
+    def of(wavenumber_per_cm: Floats, shape: tuple[int, ...], cell_cm: float) -> "_Peak":
         y, x = wavenumbers((shape[0], shape[1]), cell_cm)
-        to_y, to_x = train.wavenumber_per_cm / np.sum(train.wavenumber_per_cm**2)
+        to_y, to_x = wavenumber_per_cm / np.sum(wavenumber_per_cm**2)
         along, across = y * to_y + x * to_x - 1, x * to_y - y * to_x
         return _Peak(along, across, (along / ALONG) ** 2 + (across / ACROSS) ** 2)
 

@@ -47,13 +47,16 @@ class RingSpectrum:
     ----------
     wavenumber_per_cm : (K,) array, rad/cm, geometric mean of a ring's edges
     density_cm4 : (K,) array, cm^4
-    low_cm4, high_cm4 : (K,) array, cm^4, of its 95 % interval
+    low_cm4, high_cm4 : (K,) array, cm^4, of its 95 % interval; NaN where none can be stated
+    seabed_cm4 : (K,) array or None, cm^4, less the noise, over what the instrument passes; NaN
+        where that is not known.  None where it was not asked for
     """
 
     wavenumber_per_cm: Floats
     density_cm4: Floats
     low_cm4: Floats
     high_cm4: Floats
+    seabed_cm4: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,8 @@ def by_rings(spectrum: PatchSpectrum, rings: int = RINGS) -> RingSpectrum:
     """Means over rings of wavenumbers, evenly spaced in their logarithm, of values that are known.
 
     The interval is that of chi squared: values closer than the tapers tell apart count as one, of
-    which there are as many in a ring as its area holds of the tapers' own.
+    which there are as many in a ring as its area holds of the tapers' own.  It holds scatter alone:
+    what leaks and folds into a ring only a law can say, as that of ``PowerLawFit.rings`` does.
 
     Parameters
     ----------

@@ -17,18 +17,19 @@ likelihood of a random field on a grid with holes, and the covariance of its est
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
 from scipy.fft import fft, irfft2, next_fast_len, rfft2
-from scipy.special import stdtrit
+from scipy.special import chdtri, stdtrit
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats, Mask, Progress
-from lscan.roughness.instrument import noise_density
+from lscan.roughness.instrument import LAW_ENDS_SIGMA, FoldedPower, noise_density
 from lscan.roughness.patch import Patch, wavenumbers
-from lscan.roughness.spectra import PowerLaw
+from lscan.roughness.spectra import RINGS, PowerLaw, RingSpectrum
 
 # Differences of a patch's cells: their periodogram, and what it is expected to be.
 #
@@ -151,6 +152,20 @@ class Differences:
         return np.fft.fftshift(irfft2(np.abs(rfft2(self.taper, size)) ** 2, size))[1:, 1:]
 
     @property
+    def places(self) -> tuple[Floats, Floats]:
+        """(V,) rad/cm along y and x, of the values that count."""
+        y, x = np.broadcast_arrays(*_half_wavenumbers(self.taper.shape, self.cell_cm))
+        return y[self.chosen], x[self.chosen]
+
+    @cached_property
+    def gain(self) -> Floats:
+        """(V,) share of the power at its wavenumbers that differences keep."""
+        cell = np.zeros(np.add(self.taper.shape, 2))
+        cell[2, 2] = 1.0
+        waves = rfft2(self.take(cell), self.taper.shape[::-1], axes=(-1, -2))
+        return np.asarray(np.abs(waves[self.chosen]) ** 2)
+
+    @property
     def _scale(self) -> float:
         """Makes a periodogram of it: the one that white noise has the spectrum of."""
         return self.cell_cm**2 / float((self.taper**2).sum()) / (2 * np.pi) ** 2
@@ -232,11 +247,22 @@ TURNING = 3.3
 BEGIN = 3.0  # spectral exponent where the search begins: the middle of what is found on seabeds
 SIMULATED_PADDING = 2
 SIMULATED = 400  # patches: J's variances are then known to 7 %
-STEPS, CLOSE = 50, 1e-8
+STEPS, CLOSE = 400, 1e-8  # scoring nears a flat maximum by a tenth a step
+WHOLE_STEPS = 20  # by then it goes to and fro across a sharp one, or slowly: halves end both
 DIFFERENCE = 1e-4  # of a parameter, for derivatives of the spectrum
 FEWEST_VALUES = 30
 PARAMETERS = ("ln_w2", "gamma2", "a", "b")  # a and b where the law may be stretched
 DB_PER_LN = 10 / np.log(10)
+LEAST_RING = 1.5  # waves in the shorter side
+LEAST_KNOWN = 0.5  # of a ring, for what is passed of it
+PARTS = 8  # of the band, of as many values each
+LACKING = 0.01  # of fields that follow the law: so many are said not to
+MOST_LIFTED = 2.0
+"""Expectation over the spectrum itself, beyond which a ring has no limits: more than half of it is
+then leakage and folding, which the law says alone, not the patch."""
+TAILS = 0.025, 0.975  # of chi squared, that a 95 % interval leaves
+
+NO_RINGS = RingSpectrum(*np.zeros((5, 0)))
 
 Density = Callable[[Floats, Floats], Floats]
 
@@ -254,6 +280,16 @@ class PowerLawFit:
     band : Band, that was used
     values : int, of the periodogram in the band
     misfit : float, mean of periodogram over expectation, less 1: about 0 by construction
+    rings : RingSpectrum, W2 as the instrument shows it, noise included, without what leaks and
+        folds in: the law times how far the patch is off its expectation.  Limits hold the scatter,
+        and what the law is not known of leakage and folding; they are NaN where these two are
+        expected to be more than all else in the ring
+    lack : float, what the law's lack of fit has widened the uncertainties by: by Birge's ratio
+        where the patch is less like the law than 99 % of simulated patches; otherwise 1
+
+    References
+    ----------
+    Birge, Phys. Rev. 40, 207 (1932): uncertainties of what fits worse than its own says.
     """
 
     law: PowerLaw
@@ -263,6 +299,8 @@ class PowerLawFit:
     band: Band
     values: int
     misfit: float
+    rings: RingSpectrum = NO_RINGS
+    lack: float = 1.0
 
     @property
     def sigma_gamma2(self) -> float:
@@ -312,7 +350,18 @@ def fit_power_law(
     """
     band = band or usable_band(patch)
     likelihood, theta = _most_likely(patch, band, stretched, response, known)
-    covariance = likelihood.covariance(theta, seed, simulated, progress)
+    rings = _Rings(patch, likelihood, response, known, theta)
+    patches = likelihood.simulated_patches(law_of(theta), seed, simulated)
+    (score, by_end), scores, ratios = likelihood.scores(theta), [], []
+    ends = np.random.default_rng([seed, 18]).standard_normal(simulated)
+    for number, z in enumerate(patches, start=1):
+        scores.append(score(z) + ends[number - 1] * by_end)
+        ratios.append(rings.ratios(z))
+        if progress is not None:
+            progress(number, simulated)
+    count, every = len(theta), np.array(scores)
+    lack = _lack_of_fit(score(patch.z_cm)[count:], every[:, count:])
+    covariance = likelihood.covariance(theta, every[:, :count]) * lack**2
     return PowerLawFit(
         law_of(theta),
         PARAMETERS[: len(theta)],
@@ -321,7 +370,22 @@ def fit_power_law(
         band,
         len(likelihood.values),
         float(np.mean(likelihood.values / likelihood.expected(theta)) - 1),
+        rings.spectrum(np.array(ratios), covariance),
+        lack,
     )
+
+
+def _lack_of_fit(own: Floats, simulated: Floats) -> float:
+    """Birge's ratio of (F,) sums against (N, F) of simulated patches, 1 where it is one of theirs.
+
+    The largest of three: of the parts of the band, of the bend, and of the directions.
+    """
+    sums = (np.vstack([own, simulated]) / simulated.std(axis=0)) ** 2
+    kinds = np.split(sums, [PARTS, PARTS + 1], axis=1)
+    squares = np.stack([kind.mean(axis=1) for kind in kinds])
+    beyond = squares[:, 0] > np.quantile(squares[:, 1:], 1 - LACKING / len(kinds), axis=1)
+    ratios = squares[beyond, 0] / squares[beyond, 1:].mean(axis=1)
+    return float(np.sqrt(ratios.max(initial=1.0)))
 
 
 def most_likely_law(
@@ -348,6 +412,29 @@ def most_likely_law(
     return law_of(_most_likely(patch, band, stretched, response, known)[1])
 
 
+def flat_periodogram(
+    patch: Patch, band: Band, response: Density | None = None, known: Known | None = None
+) -> tuple[Floats, Floats, Floats]:
+    """(V,) rad/cm along y and x, and there the periodogram over what a power law leads to expect.
+
+    Of heights that follow one each value is about exponentially distributed, with the mean 1,
+    whatever is missing: what holes make of the law is in the expectation.
+
+    Parameters
+    ----------
+    patch : Patch
+    band : Band, rad/cm, of the values
+    response, known : as of ``fit_power_law``
+    """
+    theta, second = np.array([0.0, BEGIN]), False
+    with suppress(MeasurementError):  # of what follows no law
+        likelihood, theta = _most_likely(patch, usable_band(patch), False, response, known)
+        second = likelihood.second
+    parts = list(differences_of(patch, band, second, known))
+    whole = _Likelihood(patch, parts, response, second)
+    return *whole.places, whole.values / whole.expected(theta)
+
+
 def _most_likely(
     patch: Patch, band: Band, stretched: bool, response: Density | None, known: Known | None
 ) -> tuple["_Likelihood", Floats]:
@@ -356,12 +443,13 @@ def _most_likely(
     theta[1] = BEGIN
     for second in (False, True):
         parts = list(differences_of(patch, band, second, known))
-        likelihood = _Likelihood(patch, parts, response)
+        likelihood = _Likelihood(patch, parts, response, second)
         theta = likelihood.maximum(theta)
         if theta[1] < TURNING:
             break
     if second and theta[1] < TURNING - 0.3:  # turned by chance: what was found first is better
-        likelihood = _Likelihood(patch, list(differences_of(patch, band, False, known)), response)
+        parts = list(differences_of(patch, band, False, known))
+        likelihood = _Likelihood(patch, parts, response, False)
         theta = likelihood.maximum(theta)
     return likelihood, theta
 
@@ -391,9 +479,11 @@ def law_of(theta: Floats) -> PowerLaw:
 class _Likelihood:
     """Whittle's likelihood of a patch, of parameters of a power law."""
 
-    def __init__(self, patch: Patch, parts: list[Differences], response: Density | None) -> None:
-        self._patch, self._parts, self._response = patch, parts, response
-        self.values = np.concatenate([part.periodogram(patch.z_cm) for part in parts])
+    def __init__(
+        self, patch: Patch, parts: list[Differences], response: Density | None, second: bool
+    ) -> None:
+        self._patch, self._parts, self._response, self.second = patch, parts, response, second
+        self.values = self.periodogram(patch.z_cm)
         if len(self.values) < FEWEST_VALUES:
             raise MeasurementError(
                 f"roughness: the band holds {len(self.values)} values of the periodogram, "
@@ -401,20 +491,34 @@ class _Likelihood:
             )
         self._sum = CovarianceSum(patch.z_cm.shape, patch.cell_cm)
         self._passed = np.asarray(1.0 if response is None else response(*self._sum.plane))
-        self._noise = self._expectation(self._sum.of_noise(patch.noise_cm2))
+        self._folded = FoldedPower(patch.cell_cm, response)
+        self._white = self._expectation(self._sum.of_noise((2 * np.pi / patch.cell_cm) ** 2))
+        self._noise = noise_density(patch) * self._white
+
+    def periodogram(self, z_cm: Floats) -> Floats:
+        """(V,) cm^4."""
+        return np.concatenate([part.periodogram(z_cm) for part in self._parts])
+
+    @property
+    def places(self) -> tuple[Floats, Floats]:
+        """(V,) rad/cm along y and x."""
+        y, x = zip(*(part.places for part in self._parts), strict=True)
+        return np.concatenate(y), np.concatenate(x)
 
     def _expectation(self, covariance_cm2: Floats) -> Floats:
         return np.concatenate([part.expected(covariance_cm2) for part in self._parts])
 
     def _density(self, theta: Floats) -> Floats:
-        """cm^4 on the plane of the sum: the law's, as far as the instrument passes it."""
-        return np.asarray(law_of(theta).density(*self._sum.plane) * self._passed)
+        """cm^4 on the plane of the sum: the law's, as passed by the instrument, and folded in."""
+        law = law_of(theta)
+        own = law.density(*self._sum.plane) * self._passed
+        return np.asarray(own + self._folded.of(law, *self._sum.plane))
 
     def expected(self, theta: Floats) -> Floats:
         """(V,) expectation of the periodogram."""
         return self._expectation(self._sum.of(self._density(theta))) + self._noise
 
-    def _derivatives(self, theta: Floats, expected: Floats) -> Floats:
+    def derivatives(self, theta: Floats, expected: Floats) -> Floats:
         """(V, P) of the logarithm of the expectation."""
         columns = [expected - self._noise]  # by ln w2
         for way in DIFFERENCE * np.eye(len(theta))[1:]:
@@ -428,12 +532,13 @@ class _Likelihood:
         theta = theta.copy()
         theta[0] += np.log(np.mean(self.values / self.expected(theta)))
         size, expected = self._cost(theta)
-        for _ in range(STEPS):
-            slopes = self._derivatives(theta, expected)
+        for number in range(STEPS):
+            slopes = self.derivatives(theta, expected)
             normal = slopes.T @ slopes
             if not np.isfinite(normal).all() or np.linalg.matrix_rank(normal) < len(theta):
                 break  # as where all is noise
             step = np.linalg.solve(normal, slopes.T @ (self.values / expected - 1))
+            step = step if number < WHOLE_STEPS else step / 2
             for _ in range(STEPS):
                 found, there = self._cost(theta + step)
                 if found <= size + 1e-9 * abs(size):
@@ -450,22 +555,37 @@ class _Likelihood:
             return np.inf, expected
         return float(np.sum(np.log(expected) + self.values / expected)), expected
 
-    def covariance(
-        self, theta: Floats, seed: int, simulated: int, progress: Progress | None
-    ) -> Floats:
-        """(P, P) of the parameters."""
-        expected = self.expected(theta)
-        slopes = self._derivatives(theta, expected)
-        scores = []
-        for number, z in enumerate(self._simulate_patches(law_of(theta), seed, simulated), start=1):
-            values = np.concatenate([part.periodogram(z) for part in self._parts])
-            scores.append(slopes.T @ (values / expected - 1))
-            if progress is not None:
-                progress(number, simulated)
-        inverse = np.linalg.inv(slopes.T @ slopes)
-        return np.asarray(inverse @ np.cov(np.array(scores).T) @ inverse)
+    def by_end(self, theta: Floats, expected: Floats) -> Floats:
+        """(V,) what a sigma of the law's end changes the logarithm of the expectation by."""
+        return LAW_ENDS_SIGMA * self._folded.by_end(law_of(theta)) * self._white / expected
 
-    def _simulate_patches(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
+    def scores(self, theta: Floats) -> tuple[Callable[[Floats], Floats], Floats]:
+        """(P + F,) of a patch's heights: the score, and by how much it is unlike any such law.
+
+        These are sums of periodogram over expectation, less 1, of parts of the band, weighted with
+        the square of the wavenumber's logarithm, and with its direction; less what the law's
+        parameters would follow.  Also what a sigma of the law's end adds to all of these.
+        """
+        expected, (y, x) = self.expected(theta), self.places
+        slopes = self.derivatives(theta, expected)
+        size, way = np.log(np.hypot(y, x)), 2 * np.arctan2(y, x)
+        part = np.digitize(size, np.quantile(size, np.arange(1, PARTS) / PARTS))
+        unlike = np.column_stack([
+            part[:, np.newaxis] == np.arange(PARTS), (size - size.mean()) ** 2,
+            np.cos(way), np.sin(way),
+        ])  # fmt: skip
+        unlike = unlike - slopes @ np.linalg.lstsq(slopes, unlike, rcond=None)[0]
+        columns = np.column_stack([slopes, unlike])
+        by_end = columns.T @ self.by_end(theta, expected)
+        return lambda z_cm: columns.T @ (self.periodogram(z_cm) / expected - 1), by_end
+
+    def covariance(self, theta: Floats, scores: Floats) -> Floats:
+        """(P, P) of the parameters, by (N, P) scores of simulated patches."""
+        slopes = self.derivatives(theta, self.expected(theta))
+        inverse = np.linalg.inv(slopes.T @ slopes)
+        return np.asarray(inverse @ np.cov(scores.T) @ inverse)
+
+    def simulated_patches(self, law: PowerLaw, seed: int, simulated: int) -> Iterator[Floats]:
         """(R, C) cm, patches of a law as the instrument shows it."""
         patch, generator = self._patch, np.random.default_rng([seed, 17])
         rows, columns = patch.z_cm.shape
@@ -473,7 +593,8 @@ class _Likelihood:
         y, x = wavenumbers(shape, patch.cell_cm)
         area = (2 * np.pi) ** 2 / (shape[0] * shape[1] * patch.cell_cm**2)
         passed = 1.0 if self._response is None else self._response(y, x)
-        size = np.sqrt((law.density(y, x) * passed + noise_density(patch)) * area)
+        density = law.density(y, x) * passed + self._folded.of(law, y, x) + noise_density(patch)
+        size = np.sqrt(density * area)
         for _ in range(simulated // 2):
             drawn = generator.standard_normal((2, *shape))
             # Rows beyond the patch are not transformed along x.
@@ -481,3 +602,70 @@ class _Likelihood:
             both = fft(along_y, axis=1)[:, :columns]
             yield both.real
             yield both.imag
+
+
+class _Rings:
+    """Means over rings of a patch's periodogram over its expectation, and what they say of W2."""
+
+    def __init__(
+        self,
+        patch: Patch,
+        fitted: _Likelihood,
+        response: Density | None,
+        known: Known | None,
+        theta: Floats,
+    ) -> None:
+        low, high = 2 * np.pi * LEAST_RING / min(patch.size_cm), patch.nyquist_per_cm
+        edges = np.geomspace(low, high, RINGS + 1)
+        parts = list(differences_of(patch, Band(low, high), fitted.second))
+        self._likelihood = _Likelihood(patch, parts, response, fitted.second)
+        self._y, self._x = self._likelihood.places
+        held, self._ring = np.unique(
+            np.digitize(np.hypot(self._y, self._x), edges[1:-1]), return_inverse=True
+        )
+        self._middle = np.sqrt(edges[held] * edges[held + 1])
+        self._gain = np.concatenate([part.gain for part in parts])
+        self._passed = np.ones(()) if response is None else response(self._y, self._x)
+        told = np.ones(self._y.shape)
+        if known is not None:
+            told = np.asarray(known(self._y, self._x), dtype=float)
+        self._known, self._noise = self._mean(told) >= LEAST_KNOWN, noise_density(patch)
+        self._theta, self._expected = theta, self._likelihood.expected(theta)
+        self._ratios = self.ratios(patch.z_cm)
+
+    def _mean(self, values: Floats) -> Floats:
+        """(K,) means over the rings."""
+        return np.bincount(self._ring, values) / np.bincount(self._ring)
+
+    def ratios(self, z_cm: Floats) -> Floats:
+        """(K,) of a patch's heights."""
+        return self._mean(self._likelihood.periodogram(z_cm) / self._expected)
+
+    def spectrum(self, simulated: Floats, covariance: Floats) -> RingSpectrum:
+        """W2 with limits, by (N, K) ratios of simulated patches and the law's covariance."""
+        shown = self._shown(self._theta)
+        usual = simulated.mean(axis=0)
+        found = self._mean(shown) * self._ratios / usual
+        slopes = self._likelihood.derivatives(self._theta, self._expected)
+        by_law = -np.stack([self._mean(one) for one in slopes.T])
+        for one, way in zip(by_law, DIFFERENCE * np.eye(len(self._theta)), strict=True):
+            more, less = (self._mean(self._shown(self._theta + k * way)) for k in (1, -1))
+            one += np.log(more / less) / (2 * DIFFERENCE)
+        by_end = self._mean(self._likelihood.by_end(self._theta, self._expected))
+        of_law = np.einsum("pk,pq,qk->k", by_law, covariance, by_law) + by_end**2
+        # That many degrees of freedom has a value of chi squared that scatters as much.
+        freedom = 2 / (simulated.var(axis=0, ddof=1) / usual**2 + of_law)
+        here = law_of(self._theta).density(self._y, self._x) * self._passed + self._noise
+        lifted = self._mean(self._expected / (self._gain * here))
+        held = np.abs(np.log(lifted)) <= np.log(MOST_LIFTED)
+        low, high = (np.where(held, found * freedom / chdtri(freedom, q), np.nan) for q in TAILS)
+        law = law_of(self._theta).density(0.0, self._middle)
+        passed = np.where(self._known, self._mean(shown) - self._noise, np.nan)
+        seabed = law * (found - self._noise) / passed
+        return RingSpectrum(self._middle, found, low, high, seabed)
+
+    def _shown(self, theta: Floats) -> Floats:
+        """(V,) cm^4, of a law at the middle of the ring: as passed, and the noise."""
+        to_middle = self._middle[self._ring] / np.hypot(self._y, self._x)
+        law = law_of(theta).density(self._y * to_middle, self._x * to_middle)
+        return np.asarray(law * self._passed + self._noise)

@@ -32,11 +32,17 @@ def wave(
 
 
 def drawn(
-    law: PowerLaw, shape: tuple[int, int], cell_cm: float, seed: int
+    law: PowerLaw, shape: tuple[int, int], cell_cm: float, seed: int, finer: int = 1
 ) -> tuple[Floats, Floats]:
-    """Two independent fields of a law, each cut from one four times as long and as wide."""
-    generator = np.random.default_rng(seed)
-    return random_fields(law.density, shape, (cell_cm, cell_cm), PADDING, generator)
+    """Two independent fields of a law, each cut from one four times as long and as wide.
+
+    finer: how many times finer the field is that they are sampled from: its law goes on so far
+    beyond the cells' own wavenumbers, and half as long as otherwise, for such fields are large.
+    """
+    generator, steps = np.random.default_rng(seed), (cell_cm / finer, cell_cm / finer)
+    fine, padding = (finer * shape[0], finer * shape[1]), PADDING if finer == 1 else 2
+    one, other = random_fields(law.density, fine, steps, padding, generator)
+    return one[::finer, ::finer], other[::finer, ::finer]
 
 
 def holes(shape: tuple[int, int], share: float, seed: int) -> Mask:

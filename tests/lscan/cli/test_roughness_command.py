@@ -67,7 +67,8 @@ def test_the_file_holds_every_spectrum_and_their_variances_agree(surface_file, t
 @pytest.mark.slow  # test_linereading.py has it of the response itself
 def test_blur_that_was_corrected_for_is_not_divided_out_again(surface_file, tmp_path, capsys):
     """A line corrected for blur lacks less of its waves, so less is added to them: in between, at
-    wavelengths of 8 to 16 pixels, which the correction reaches."""
+    wavelengths of 8 to 16 pixels, which the correction reaches, in the mean of their rings: each is
+    read by the differences that suit the exponent found, and scatters from one to the other."""
     corrected = tmp_path / "corrected.nc"
     done = replace(load_surface(surface_file), corrections=("blur of 0.7 px",))
     save_surface(corrected, done)
@@ -79,8 +80,8 @@ def test_blur_that_was_corrected_for_is_not_divided_out_again(surface_file, tmp_
         assert call(capsys, "roughness", file, *options, "-o", output)[0] == 0
         with xr.open_dataset(output, engine="h5netcdf") as kept:
             long = (kept.k > 2 * np.pi / 3.2) & (kept.k < 2 * np.pi / 1.6)
-            found.append(kept.w2_ring_corrected[long].values)
-    assert (found[0] < found[1]).all() and (found[1] < found[2]).all()
+            found.append(float(kept.w2_ring_corrected[long].mean()))
+    assert found[0] < found[1] < found[2]
     refused(call(capsys, "roughness", corrected, "--blur", 1.4), "--pixel", "0.7 px")
 
 

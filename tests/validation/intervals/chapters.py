@@ -3,15 +3,23 @@
 from functools import partial
 
 from tests.validation.intervals.gamma import gamma_rows
+from tests.validation.intervals.metric import metric_rows
+from tests.validation.intervals.rough import rough_rows
+from tests.validation.intervals.water import water_interval_rows
 from tests.validation.rows import Chapters, Request
 
 
 def chapters(request: Request) -> Chapters:
-    """The chapters of intervals; those of a quick run need a minute.
+    """The chapters of intervals; those of a quick run take a minute or two.
 
     Parameters
     ----------
     request : Request
     """
-    quick, scenes = request.quick, request.scenes
-    return {"tone curves": partial(gamma_rows, scenes, quick)}
+    quick = request.quick
+    return {
+        "tone curves": partial(gamma_rows, request.scenes, quick),
+        "other water": partial(water_interval_rows, 2 if quick else 20),
+        "views of a board": partial(metric_rows, quick),
+        "rough surfaces": partial(rough_rows, quick),
+    }

@@ -1,6 +1,6 @@
 """Random fields of a known power law, with holes: bias of the fit, and how often intervals hold."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,11 +44,14 @@ QUICK = RoughnessEffort(
 # Random fields of a known power law, with holes: bias of the fit, and how often intervals hold.
 
 
+Density = Callable[[Floats, Floats], Floats]
 CELL_CM = 0.1
 EXPONENTS = 2.4, 3.9
 STRENGTH_CM4 = 0.004
 HOLES = 0.1
 PADDING = 4  # of the fields: they hold waves four times as long as they are
+FINER = 8  # a seabed's law goes on beyond the grid: what is sampled from is drawn so much finer
+FINE_PADDING = 2  # of those fields, which are large
 DB_PER_LN = 10 / np.log(10)
 SEED = 17
 RIPPLE_SIDE = 128
@@ -113,12 +116,28 @@ def _fitted(effort: RoughnessEffort) -> Iterator[FittedField]:
             # Fields come in pairs of one exponent, as they are drawn.
             gamma2 = float(exponents[number])
             generator = np.random.default_rng([SEED, number])
-            law = PowerLaw(gamma2, STRENGTH_CM4)
-            pair = random_fields(law.density, shape, (CELL_CM, CELL_CM), PADDING, generator)
+            pair = sampled_fields(PowerLaw(gamma2, STRENGTH_CM4).density, shape, generator)
             seen = holes(shape, HOLES, generator)
             patch = Patch(np.where(seen, pair[second], 0.0), seen, CELL_CM)
             fit = fit_power_law(patch, seed=number + second, simulated=effort.simulated)
             yield FittedField(gamma2, fit)
+
+
+def sampled_fields(
+    density: Density, shape: tuple[int, int], generator: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """Two independent fields of a spectrum that goes on beyond their cells, at the cells alone.
+
+    Parameters
+    ----------
+    density : callable, of rad/cm along y and x: W2 in cm^4, as the instrument passes it
+    shape : (R, C)
+    generator : Generator
+    """
+    fine = FINER * shape[0], FINER * shape[1]
+    step = CELL_CM / FINER
+    one, other = random_fields(density, fine, (step, step), FINE_PADDING, generator)
+    return one[::FINER, ::FINER], other[::FINER, ::FINER]
 
 
 def ripple_rows(effort: RoughnessEffort) -> list[Row]:
