@@ -459,8 +459,8 @@ class PictureLines:
         part of the channel
     clipping_dn : int, DN, grey value at which the range ends
     white : (N, L) mask or None, of the crests in which the excess is made up from the other colours
-    others : (N, L) array or None, uint8, DN, what was taken off for the excess of a colour: the
-        brighter of the other two, or the one that a mixed colour lacks
+    others : (N, L) array or None, DN, what was taken off: for the excess of a colour the brighter
+        of the other two, or the one that a mixed colour lacks; else the background picture
     """
 
     channel: LineChannel
@@ -468,7 +468,7 @@ class PictureLines:
     clipped: Mask
     clipping_dn: int
     white: Mask | None = None
-    others: Bytes | None = None
+    others: GreyValues | None = None
 
 
 def lines_of(

@@ -5,7 +5,6 @@ which tests/sim/truth/camera holds against the tank's truth); then the same rig 
 sheet through other water.  What is counted is how often a length lies in its 95 % interval.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -191,7 +190,7 @@ def carried_ratios(route: Route, statement: Statement, rigs: int, seed: int) -> 
     return found
 
 
-def water_interval_rows(rigs: int = 20, seed: int = 1) -> Iterator[Row]:
+def water_interval_rows(rigs: int = 20, seed: int = 1) -> list[Row]:
     """How far from 95 % the shares are, and the largest error in sigmas.
 
     Parameters
@@ -199,6 +198,7 @@ def water_interval_rows(rigs: int = 20, seed: int = 1) -> Iterator[Row]:
     rigs : int, of each route and statement
     seed : int, of the draws
     """
+    rows = []
     for route in ROUTES:
         for statement in STATEMENTS:
             ratios = np.abs(carried_ratios(route, statement, rigs, seed))
@@ -207,5 +207,6 @@ def water_interval_rows(rigs: int = 20, seed: int = 1) -> Iterator[Row]:
                 "name": route, "statement": statement, "rigs": rigs, "seed": seed,
                 "chance": 100 * np.sqrt(0.95 * 0.05 / rigs), "percent": 100 * share,
             }  # fmt: skip
-            yield row("carried-lengths", band_miss_percent(share), **words)
-            yield row("carried-worst", float(ratios.max()), **words)
+            rows.append(row("carried-lengths", band_miss_percent(share), **words))
+            rows.append(row("carried-worst", float(ratios.max()), **words))
+    return rows
