@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
-from scipy.optimize import curve_fit
+from scipy.optimize import minimize_scalar
 
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Bytes, Floats, Ints, Mask
@@ -42,6 +42,8 @@ LINEAR_DN = (0.05 * BRIGHTEST_DN, 0.95 * BRIGHTEST_DN)
 
 LEAST_CURVE = 0.05
 """Gamma above 1 that counts as a curve: a lamp that warms by 10 % over the series feigns less."""
+
+GAMMA_STEP = 0.02  # of second differences
 
 LEAST_FLICKER = 0.05
 """Part of a pixel's noise variance that a change of the light must reach to be taken out of it."""
@@ -299,13 +301,16 @@ def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
     if len(np.unique(time_ms)) < 4:
         return straight
 
-    def curve(time_ms: Floats, full_dn: float, dark_dn: float, gamma: float) -> Floats:
-        light = dark_dn + (full_dn - dark_dn) * time_ms / time_ms.max()
-        return np.asarray(BRIGHTEST_DN * (np.maximum(light, 1e-6) / BRIGHTEST_DN) ** (1 / gamma))
+    def left(gamma: float) -> float:
+        """What a line leaves of the undone curve, as relative errors of grey values, squared."""
+        light = (grey / BRIGHTEST_DN) ** gamma
+        fitted = np.polyval(np.polyfit(time_ms, light, 1, w=1 / light), time_ms)
+        return float((((light - fitted) / (gamma * light)) ** 2).sum())
 
-    first, bounds = (grey.max(), 0.0, 1.0), ((1.0, -50.0, 0.3), (260.0, 100.0, 4.0))
-    found, covariance = curve_fit(curve, time_ms, grey, first, sigma=grey, bounds=bounds)
-    return replace(straight, gamma=float(found[2]), gamma_sigma=float(np.sqrt(covariance[2, 2])))
+    gamma = float(minimize_scalar(left, bounds=(0.3, 4.0), method="bounded").x)
+    bend = (left(gamma + GAMMA_STEP) - 2 * left(gamma) + left(gamma - GAMMA_STEP)) / GAMMA_STEP**2
+    variance = 2 * left(gamma) / max(len(grey) - 3, 1) / max(bend, np.finfo(float).tiny)
+    return replace(straight, gamma=gamma, gamma_sigma=float(np.sqrt(variance)))
 
 
 def _levels(pictures: Bytes, level: Ints, flickers: bool = False) -> Levels:

@@ -28,6 +28,8 @@ an exponential distribution the largest is 17 medians with 50 %, 20 with 10 %.""
 BEYOND_NYQUIST = 2.0  # that harmonics may lie, in Nyquist's wavenumber
 SURROUNDINGS = 4  # rings: of fewer values than some 20 a median would chance to be low
 LEAST_HEIGHT = 2.0  # of a train, in its standard uncertainty
+LEAST_OWN = 0.25
+"""Of the columns of a fit, what no others explain: less more than doubles an uncertainty."""
 LEAST_WAVES = 2.0
 FLAT = 3  # coefficients of a plane
 
@@ -108,7 +110,11 @@ def fit_waves(patch: Patch, start_per_cm: Floats, harmonics: int = HARMONICS) ->
     found = least_squares(residual, start_per_cm, x_scale=scale, xtol=1e-12, ftol=1e-12)
     if not found.success:
         raise MeasurementError(f"ripples: {found.message}")
+    # Of waves that come to whole cells, harmonics beyond Nyquist's wavenumber look like others.
     design = _waves(patch, found.x, orders)
+    while orders > 1 and _least_own(design) < LEAST_OWN:
+        orders -= 1
+        design = _waves(patch, found.x, orders)
     coefficients = np.linalg.lstsq(design, z, rcond=None)[0]
     cosines, sines = np.split(coefficients[FLAT:], 2)
     variance = float((found.fun**2).mean()) * len(z) / (len(z) - len(coefficients) - 2)
@@ -155,6 +161,12 @@ def _waves(patch: Patch, wavenumber_per_cm: Floats, orders: int) -> Floats:
     y, x = (y - y.mean()) * patch.cell_cm, (x - x.mean()) * patch.cell_cm
     phase = np.outer(np.column_stack([y, x]) @ wavenumber_per_cm, np.arange(1, orders + 1))
     return np.column_stack([np.ones_like(x), y, x, np.cos(phase), np.sin(phase)])
+
+
+def _least_own(design: Floats) -> float:
+    """The least share of a unit combination of a design's columns that no others explain."""
+    unit = design / np.linalg.norm(design, axis=0)
+    return float(np.linalg.eigvalsh(unit.T @ unit)[0])
 
 
 def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:

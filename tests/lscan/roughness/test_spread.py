@@ -6,7 +6,7 @@ from drawn_examples import examples
 from hypothesis import example, given, strategies as st
 from rough_patches import holes, patch, wave
 
-from lscan.roughness import fit_waves, ripple_spread
+from lscan.roughness import Patch, find_ripples, fit_waves, ripple_spread
 from sim.meshes.workpieces import random_fields
 
 SHAPE, CELL_CM, WAVES = (64, 64), 0.5, 12  # 5 cells a wave
@@ -77,3 +77,17 @@ def test_the_spread_is_that_of_the_spectrum(along, across_deg):
             found.append([spread.relative, np.radians(spread.heading_deg)])
     mean = np.sqrt((np.array(found) ** 2).mean(axis=0))
     np.testing.assert_allclose(mean, [along, np.radians(across_deg)], rtol=0.15)
+
+
+@pytest.mark.parametrize("cells", [8.0, 10.0, 10.07, 12.5])
+def test_waves_of_whole_cells_are_as_high_as_they_are(cells: float) -> None:
+    """Their tenth harmonic is at the cells a plane, the ninth the wave: 15 cm came out for 0.6."""
+    _, x = np.mgrid[:40, :40] * 0.2
+    rng = np.random.default_rng(int(100 * cells))
+    z = 0.3 * np.cos(2 * np.pi * x / (0.2 * cells) + 0.4) + 0.01 * rng.normal(size=x.shape)
+    train = find_ripples(Patch(z, np.full(x.shape, True), 0.2))
+    assert train is not None
+    # Between cells a crest is missed by as much as a cosine falls within half a cell.
+    missed = 0.6 * (1 - np.cos(np.pi / cells))
+    assert abs(train.height_cm - 0.6) < 4 * train.sigma_height_cm + missed
+    assert train.sigma_height_cm < 0.01

@@ -209,6 +209,11 @@ def test_a_tone_curve_is_found_from_exposures(gamma: float) -> None:
     assert found.is_curved == (gamma > 1)
 
 
+def test_a_camera_that_does_not_obey_has_no_curve() -> None:
+    grey = 44.4 + 0.2 * np.random.default_rng(3).normal(size=8)
+    assert not linearity(np.arange(1.0, 9.0), grey).is_curved
+
+
 def test_linearity_needs_three_exposures_in_range() -> None:
     with pytest.raises(MeasurementError, match="13 to 242 DN"):
         linearity(np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 50.0, 100.0, 250.0]))
