@@ -183,7 +183,16 @@ def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:
         # Ripples lift the law: what is usual around them is that of most values.
         ratio[ring == number] /= max(float(np.median(ratio[ring == number])), 1e-300)
     best = int(np.argmax(ratio))
-    return np.array([y[best], x[best]]) if ratio[best] >= ABOVE else None
+    if ratio[best] < ABOVE:
+        return None
+    # Over a law that falls steeply a harmonic may stand out more than the wave that it is of.
+    within = np.pi / min(patch.size_cm)
+    for order in range(HARMONICS, 1, -1):
+        off = np.hypot(y - y[best] / order, x - x[best] / order)
+        if (found := np.where(off <= within, ratio, 0.0)).max() >= ABOVE:
+            best = int(np.argmax(found))
+            break
+    return np.array([y[best], x[best]])
 
 
 # How much the ripples of a train differ from one another in wavelength and in heading.

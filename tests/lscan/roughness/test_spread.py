@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import example, given, strategies as st
-from rough_patches import holes, patch, wave
+from rough_patches import drawn, holes, patch, wave, whole
 
-from lscan.roughness import Patch, find_ripples, fit_waves, ripple_spread
+from lscan.roughness import Patch, PowerLaw, find_ripples, fit_waves, ripple_spread
 from sim.meshes.workpieces import random_fields
 
 SHAPE, CELL_CM, WAVES = (64, 64), 0.5, 12  # 5 cells a wave
@@ -91,3 +91,15 @@ def test_waves_of_whole_cells_are_as_high_as_they_are(cells: float) -> None:
     missed = 0.6 * (1 - np.cos(np.pi / cells))
     assert abs(train.height_cm - 0.6) < 4 * train.sigma_height_cm + missed
     assert train.sigma_height_cm < 0.01
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_wave_is_found_whose_harmonic_stands_out_more(seed: int) -> None:
+    """Of crests so sharp that the third harmonic has half the amplitude, over a law of K^-3.5."""
+    shape, turn = (64, 64), np.radians(20.0)
+    z, _ = drawn(PowerLaw(3.5, 2e-5), shape, 0.2, seed)
+    y, x = np.mgrid[: shape[0], : shape[1]] * 0.2
+    phase = 2 * np.pi / 2.1 * (np.sin(turn) * y + np.cos(turn) * x)
+    train = find_ripples(whole(z + 0.05 * (np.cos(phase) + 0.5 * np.cos(3 * phase)), 0.2))
+    assert train is not None
+    assert train.wavelength_cm == pytest.approx(2.1, rel=0.01)
