@@ -79,10 +79,11 @@ def test_what_the_curve_clipped_is_clipped_behind_it() -> None:
 
 
 def test_a_background_is_taken_off_the_light_and_not_off_grey_values() -> None:
-    """Light adds, grey values behind a curve do not: the ground of 60 DN leaves nothing behind."""
+    """Light adds, grey values behind a curve do not: the bar of 60 DN leaves nothing behind."""
     linear, _ = linear_dn(5)
-    ground = np.full_like(linear, 60.0)
-    stated = StripeSection(channel="grey", threshold_dn=20.0, gamma=2.2)
+    ground = np.zeros_like(linear)
+    ground[15:45] = 60.0
+    stated = StripeSection(extractor="max", channel="grey", threshold_dn=20.0, gamma=2.2)
     alone = extract_stripe(curved(linear, 2.2), stated)
     lit = extract_stripe(curved(linear * 0.75 + ground, 2.2), stated, curved(ground, 2.2))
     np.testing.assert_allclose(lit.peak[:140], 0.75 * alone.peak[:140], rtol=0.05)
