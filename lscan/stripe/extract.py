@@ -343,10 +343,10 @@ def extract_stripe(
     several lines, and it is not known which is meant.  On a lit target sigma_px grows with the
     contrast of the texture beside the line (edges.py).
 
-    sigma_px is at least what the centres are seen to scatter about their neighbours along the
-    line, whether the settings state the noise or not: what holds for one rig may not for another,
-    nor in pictures that a video was coded to.  In a picture that was compressed as JPEG is, what
-    they state is left out (picture.py).
+    Where the settings do not state the noise, sigma_px is at least what the centres are seen to
+    scatter about their neighbours along the line.  Where they do, it grows if the light scatters
+    more than that noise makes it.  What they state does not hold in a picture that was compressed
+    as JPEG is, and is left out there (picture.py).
 
     Parameters
     ----------
