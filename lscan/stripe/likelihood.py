@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, select
@@ -23,7 +22,15 @@ from lscan.stripe.fit import (
     parameters_of,
     scatter_of,
 )
-from lscan.stripe.peaks import Peaks, all_windows, clipped_near, nominal_peaks, stripe_at, windows
+from lscan.stripe.peaks import (
+    Peaks,
+    all_windows,
+    clipped_near,
+    nominal_peaks,
+    running_median,
+    stripe_at,
+    windows,
+)
 from lscan.stripe.picture import Noise, constant_variance, robust_variance, sample_of, stated_noise
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
@@ -269,7 +276,7 @@ def _rough_width(columns: GreyValues, peaks: Peaks, constant: float) -> Floats:
         width = flux**2 / (2 * np.sqrt(np.pi) * np.maximum(squares, constant))
         width = np.clip(width, *_WIDTHS_PX)
         reach = int(np.ceil(4 * np.median(width))) + 3
-    smooth = median_filter(width, _NEIGHBOURS, mode="nearest")
+    smooth = running_median(width, _NEIGHBOURS)
     return np.interp(np.arange(len(peaks.rows)), sample, smooth)
 
 
@@ -359,7 +366,7 @@ def _between(fit: LineFit, which: int, sample: Ints, count: int) -> Guess:
     of the median of so few.
     """
     value = fit.parameters[:, which]
-    smooth = median_filter(value, _NEIGHBOURS, mode="nearest")
+    smooth = running_median(value, _NEIGHBOURS)
     scatter = (1.4826 * np.median(np.abs(value - smooth))) ** 2
     own = np.median(fit.covariance[:, which, which])
     spread = np.sqrt(max(scatter - own, 0.2 * own))
@@ -493,7 +500,7 @@ def _foreign(search: LineSearch, fit: LineFit, settings: StripeSection) -> Ints:
 
 def _common(fit: LineFit) -> Floats:
     """(K,) misfit that a column has in common with its neighbours."""
-    return np.asarray(median_filter(fit.misfit, _MISFIT_NEIGHBOURS, mode="nearest"))
+    return running_median(fit.misfit, _MISFIT_NEIGHBOURS)
 
 
 def _crest(seen: Survey, search: LineSearch, at: Ints) -> LineSearch:

@@ -9,7 +9,7 @@ and goes on from column to column.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import convolve1d, median_filter, uniform_filter1d
+from scipy.ndimage import convolve1d, uniform_filter1d
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value, select
@@ -27,6 +27,7 @@ from lscan.stripe.peaks import (
     medians,
     pairs,
     relief_of,
+    running_median,
     runs_of,
     spots_near,
     spots_of,
@@ -241,7 +242,7 @@ def _pieces(spots: Spots, path: Ints, width_px: float) -> tuple[Ints, Ints]:
     if len(path) == 0:
         return path, path
     row = spots.middle[path]
-    path = path[np.abs(row - median_filter(row, _NEIGHBOURS, mode="nearest")) <= width_px]
+    path = path[np.abs(row - running_median(row, _NEIGHBOURS)) <= width_px]
     bend = np.minimum(np.abs(convolve1d(spots.middle[path], _BEND)), JUMP_PX)  # a jump is no noise
     path = path[uniform_filter1d(bend, _BENDS) <= max(_EVEN_PX, _EVEN * width_px)]
     column, row = spots.column[path], spots.middle[path]

@@ -17,6 +17,7 @@ from lscan.stripe.peaks import (
     medians,
     order_statistic,
     relief_of,
+    running_median,
     spots_near,
     spots_of,
     windows,
@@ -100,6 +101,17 @@ def test_ranks_are_those_of_sorted_columns(image: Bytes, rank: int) -> None:
         assert (crests(columns) == columns.argmax(axis=1)).all()
     columns[::3, 5] += 0.25  # no grey value: such columns are sorted, not counted
     assert (order_statistic(columns, rank) == np.sort(columns, axis=1)[:, rank]).all()
+
+
+@FEW
+@given(size=st.integers(0, 40), half=st.integers(0, 20), seed=st.integers(0, 2**32 - 1))
+def test_a_running_median_is_that_of_sorted_neighbours_however_few(
+    size: int, half: int, seed: int
+) -> None:
+    values = np.random.default_rng(seed).normal(size=size)
+    around = np.arange(size)[:, None] + np.arange(-half, half + 1)
+    expected = np.median(values[np.clip(around, 0, size - 1)], axis=1) if size else values
+    assert running_median(values, 2 * half + 1) == pytest.approx(expected, abs=0)
 
 
 @FEW
