@@ -89,7 +89,7 @@ Gamma = Annotated[float, Field(ge=1, le=3)] | Literal["srgb"]
 
 
 class StripeSection(Strict):
-    """How the laser line is found: the paper's rule is span 2 about the first maximum.
+    """How the laser line is found; by maximum likelihood, whose error does not follow the pixels.
 
     channel: the grey values that are read.  "red-excess": red less the brighter of the two other
     colours, in which white and grey surfaces are dark and a red laser's line is bright;
@@ -113,7 +113,7 @@ class StripeSection(Strict):
     2
     """
 
-    extractor: str = "centroid-relative"
+    extractor: str = "ml"
     channel: LineChannel = "red"
     axis: Literal["columns", "rows"] = "columns"
     threshold_dn: Annotated[float, Field(ge=0, le=255)] = 40.0

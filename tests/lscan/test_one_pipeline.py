@@ -108,8 +108,7 @@ def test_the_file_says_where_its_points_are_and_what_they_are_made_from(
         assert set(data["z"].encoding["coordinates"].split()) == {"x", "y", "position"}
         known = {name: data.attrs[name] for name in ("rig", "pictures", "extractor", "plane_map")}
         assert known == {
-            "rig": "drawn", "pictures": 100, "extractor": "centroid-relative",
-            "plane_map": "polynomial-5",
+            "rig": "drawn", "pictures": 100, "extractor": "ml", "plane_map": "polynomial-5",
         }  # fmt: skip
         assert len(data.attrs["calibration_sha256"]) == 64
         yaw = np.radians([data.attrs["yaw_deg"], data.attrs["yaw_sigma_deg"]])
