@@ -59,7 +59,7 @@ class Status(IntEnum):
     OUT_OF_VIEW = 6  # a mark of the board that lies outside the picture
     OCCLUDED = 7  # hidden from the camera or from the laser
     NO_DATA = 8  # no measurement near a grid cell or slice point; a column not looked at
-    AMBIGUOUS = 9  # several lines in this column, and it is not known which is meant
+    AMBIGUOUS = 9  # several lines or places of one in this column: not known which is meant
 
 
 _OK, _SATURATED = int(Status.OK), int(Status.SATURATED)

@@ -85,7 +85,8 @@ def extract(
     if any((s.status == Status.AMBIGUOUS).mean() > 0.25 for s in stripes):
         note(
             "many columns hold several lines that are equally bright: try --returns first, last or "
-            "both, or --roi"
+            "both, or --roi; or one that is narrower than the rows that a colour camera sees lie "
+            "apart: widen it to 2.5 px, full width at half its height"
         )
     if not any(has_value(s.status).any() for s in stripes):
         note(

@@ -510,6 +510,7 @@ _FAINT = 0.005  # of the line's height: what Gaussians have beyond 3.3 standard 
 # correlate by 1/4; those of second differences do by 4/9 and 1/36.
 _OF_PAIRS, _OF_SECOND_DIFFERENCES = 2.32 * (1 + 2 / 4), 2.32 * (1 + 8 / 9 + 2 / 36)
 _CORE = 5.0  # standard deviations within which pixels are used
+_BY_CHANCE = 2.0  # standard errors; a pixel and its mirror image have the same common part
 
 
 @dataclass(frozen=True)
@@ -550,7 +551,9 @@ class Scatter:
     def misfit(self, noise: Noise) -> float:
         """Deviation of the lines from Gaussians, as a share of their light.
 
-        Least squares of ``common`` on light², weighted by the inverse of its variance.
+        Least squares of ``common`` on light², weighted by the inverse of its variance; 0 where
+        that is no more than chance.  Of a line a pixel wide the fit follows every bright pixel, and
+        only the skirts, which have next to no light, are left to tell.
 
         Parameters
         ----------
@@ -560,8 +563,9 @@ class Scatter:
         core = np.abs(self.common) <= _CORE**2 * variance
         weight = core * self.light**2 / np.maximum(variance, 1e-3 * self.light**2) ** 2
         total = float((weight * self.light**2).sum())
-        square = float((weight * self.common).sum()) / total if total > 0 else 0.0
-        return min(max(square, 0.0) ** 0.5, 1.0)
+        pull = weight * self.common
+        square, chance = float(pull.sum()), float(2 * (pull**2).sum()) ** 0.5
+        return min((square / total) ** 0.5, 1.0) if square > _BY_CHANCE * chance else 0.0
 
 
 def chance_of_variances(pairs: int, pixels: int) -> float:
@@ -575,7 +579,7 @@ def chance_of_variances(pairs: int, pixels: int) -> float:
     return sqrt(_OF_PAIRS / max(pairs, 1) + _OF_SECOND_DIFFERENCES / max(pixels, 1))
 
 
-def scatter_of(fit: LineFit, columns: Ints, rows: Ints) -> Scatter:
+def scatter_of(fit: LineFit, columns: Ints, rows: Ints, apart: int = 1) -> Scatter:
     """The pixels of those fitted lines that have a neighbour, each with its neighbour's.
 
     With next to no neighbours all scatter counts as noise.
@@ -584,12 +588,14 @@ def scatter_of(fit: LineFit, columns: Ints, rows: Ints) -> Scatter:
     ----------
     fit : LineFit, px and DN, of K columns
     columns, rows : (K,) array, place of the lines' middle pixels in the picture, columns rising
+    apart : int, columns from one to the neighbour whose noise is its own
     """
-    first = np.flatnonzero((np.diff(columns) == 1) & (np.abs(np.diff(rows)) <= _SIDEWAYS_PX))
+    second = columns.searchsorted(columns + apart).clip(max=len(columns) - 1)
+    beside = np.abs(rows[second] - rows) <= _SIDEWAYS_PX
+    first = np.flatnonzero((columns[second] - columns == apart) & beside)
+    second = second[first]
     if len(first) < _FEWEST_PAIRS:
         first = second = np.arange(len(columns))
-    else:
-        second = first + 1
     # The windows lie even about the peaks: turned round, a pixel meets its mirror image.
     seen = fit.seen[first] & fit.seen[second]
     seen &= seen[:, ::-1]

@@ -32,6 +32,7 @@ from lscan.stripe.peaks import (
     windows,
 )
 from lscan.stripe.picture import Noise, constant_variance, robust_variance, sample_of, stated_noise
+from lscan.stripe.returns import withhold
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
 #
@@ -46,6 +47,13 @@ _FIRST_REACH_PX = 32
 _WIDTHS_PX = (0.4, 12.0)
 _NOISE_TURNS = 3  # of noise from residuals and residuals from noise, until they agree
 _WIDTH_DOUBT = 0.4  # of the logarithm of the first guess
+_ROUNDED_DN2 = 1.5
+"""Mean square of second differences that rounding leaves: 6 / 12 of three rounded values, twice
+that where the brighter of two colours was subtracted; and half as much again."""
+_FILLED_IN_PX2 = 4 / 6
+"""What the mean of both neighbours adds to a line's variance: a triangle of two pixels each way."""
+_UNLIKE_ROWS = 20.0  # times that the rows between have: a line wider than a pixel has them alike
+_FULL_WIDTH = 2.3548  # at half height, of a Gaussian, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -79,6 +87,7 @@ class Survey:
     noise : Noise, of the pixels
     misfit : float, share of its light by which the line is no Gaussian; its part that is odd about
         the centre (fit.py)
+    pitch_px : int, rows from one that the camera has seen to the next
     """
 
     stripe: Stripe
@@ -90,6 +99,7 @@ class Survey:
     tilt: Guess
     noise: Noise
     misfit: float
+    pitch_px: int
 
     @property
     def width_px(self) -> Floats:
@@ -156,6 +166,7 @@ class _LitColumns:
     known_from: int
     view: LineWindows
     start: Floats
+    pitch_px: int
     sample: Ints
 
     @property
@@ -179,16 +190,23 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:
         return stripe
-    known_from = 0
+    view, known_from = _view(columns, lost, peaks, rough), 0
+    pitch, first_row = _seen_rows(view, peaks.rows)
+    if pitch > 1:
+        seen = (peaks.rows[:, None] + view.steps.astype(int)) % pitch == first_row
+        view = replace(view, used=view.used & seen)
+        rough = np.sqrt(np.maximum(rough**2 - _FILLED_IN_PX2, _WIDTHS_PX[0] ** 2))
     if settings.noise is None:
-        aside = _aside(columns, peaks, rough)
+        scaled = replace(peaks, rows=peaks.rows // pitch)
+        aside = _aside(columns[:, first_row::pitch], scaled, rough / pitch)
         noise, known_from = Noise(constant_variance(aside), 0.0), aside[:, 2:].size
-    view = _view(columns, lost, peaks, rough)
     start, count = _start(view, rough), len(rough)
-    # About _SAMPLE columns, evenly, each with the next.
+    # About _SAMPLE columns, evenly, each with the next that shares no noise with it.
     first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
-    sample = np.unique(np.minimum(np.concatenate([first, first + 1]), count - 1))
-    return _LitColumns(settings, stripe, peaks, rough, noise, known_from, view, start, sample)
+    sample = np.unique(np.minimum(np.concatenate([first, first + _apart(pitch)]), count - 1))
+    return _LitColumns(
+        settings, stripe, peaks, rough, noise, known_from, view, start, pitch, sample
+    )
 
 
 def _surveys_by_sample(found: Sequence[_LitColumns]) -> list[Survey]:
@@ -203,8 +221,7 @@ def _surveys_by_sample(found: Sequence[_LitColumns]) -> list[Survey]:
         precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
         search = LineSearch(one.view, one.start, one.noise, LinePrior(one.start, precision))
         searches.append(search.of(one.sample))
-    places = [select(one.peaks, one.sample) for one in found]
-    fits, scatters = _fit_samples(searches, places)
+    fits, scatters = _fit_samples(searches, found)
     for _ in range(_NOISE_TURNS if found and not found[0].states_noise else 0):
         searches = [
             replace(
@@ -214,7 +231,7 @@ def _surveys_by_sample(found: Sequence[_LitColumns]) -> list[Survey]:
             )
             for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
         ]
-        fits, scatters = _fit_samples(searches, places)
+        fits, scatters = _fit_samples(searches, found)
     return [
         _survey(one, fit, search.noise, scatter.misfit(search.noise))
         for one, fit, search, scatter in zip(found, fits, searches, scatters, strict=True)
@@ -222,11 +239,13 @@ def _surveys_by_sample(found: Sequence[_LitColumns]) -> list[Survey]:
 
 
 def _fit_samples(
-    searches: Sequence[LineSearch], places: Sequence[Peaks]
+    searches: Sequence[LineSearch], found: Sequence[_LitColumns]
 ) -> tuple[list[LineFit], list[Scatter]]:
-    fits = fit_lines(searches) if searches else []
-    each = zip(fits, places, strict=True)
-    return fits, [scatter_of(fit, peaks.columns, peaks.rows) for fit, peaks in each]
+    fits, scatters = fit_lines(searches) if searches else [], []
+    for fit, one in zip(fits, found, strict=True):
+        peaks = select(one.peaks, one.sample)
+        scatters.append(scatter_of(fit, peaks.columns, peaks.rows, _apart(one.pitch_px)))
+    return fits, scatters
 
 
 def _survey(found: _LitColumns, fit: LineFit, noise: Noise, misfit: float) -> Survey:
@@ -236,7 +255,7 @@ def _survey(found: _LitColumns, fit: LineFit, noise: Noise, misfit: float) -> Su
     start[:, LN_WIDTH], start[:, TILT] = ln_width.value, tilt.value
     reach = _reach(found.width_px, found.settings)
     known = (found.stripe, found.peaks, reach, found.view, start)
-    return Survey(*known, ln_width, tilt, noise, misfit)
+    return Survey(*known, ln_width, tilt, noise, misfit, found.pitch_px)
 
 
 def _aside(columns: GreyValues, peaks: Peaks, width_px: Floats) -> GreyValues:
@@ -331,6 +350,29 @@ def _view(columns: GreyValues, lost: Mask, peaks: Peaks, width_px: Floats) -> Li
     each = (np.asfortranarray(values) for values in (grey, used, clipped))  # as in of()
     grey, used, clipped = each
     return LineWindows(steps.astype(float), grey, peaks.base, used, clipped)
+
+
+def _seen_rows(view: LineWindows, rows: Ints) -> tuple[int, int]:
+    """Rows from one that was seen to the next, 1 or 2, and the first that was.
+
+    Behind a Bayer filter red and blue are seen in every second row; bilinear demosaicing makes
+    the rows between the mean of both beside them.  There second differences are nothing but
+    rounding, and elsewhere those of the line.  rows: of the middle pixels.
+    """
+    grey = view.grey.astype(float)
+    square = np.square(grey[:, 2:] - 2 * grey[:, 1:-1] + grey[:, :-2])
+    parity = (rows[:, None] + view.steps.astype(int)[1:-1]) % 2
+    bent = [square[view.used[:, 1:-1] & (parity == one)].mean() for one in (0, 1)]
+    filled_in = min(bent) <= _ROUNDED_DN2 and max(bent) >= _UNLIKE_ROWS * _ROUNDED_DN2
+    return (2, int(np.argmax(bent))) if filled_in else (1, 0)
+
+
+def _apart(pitch_px: int) -> int:
+    """Columns from one to the next that shares no noise with it.
+
+    Of a colour that is seen in every second column, those between are the mean of both beside them.
+    """
+    return 1 if pitch_px == 1 else 2 * pitch_px
 
 
 def _start(view: LineWindows, width_px: Floats) -> Floats:
@@ -430,6 +472,10 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     noise by: unless that is stated, their sigma_px is at least what their centres scatter
     from one column to the next.  NO_PEAK also where no line can be fitted.
 
+    Rows that a colour camera has filled in by their neighbours' mean, as bilinear demosaicing
+    does, are left out.  AMBIGUOUS where the line is narrower at half its height than the rows that
+    are left lie apart: where between two of them it runs is not to be seen then.
+
     Parameters
     ----------
     image : (H, W) array, DN, grey values
@@ -526,4 +572,7 @@ def _stripe(seen: Survey, fit: LineFit, crest: Floats) -> Stripe:
     doubt = np.where(np.isnan(crest), 0.0, crest - offset) ** 2 / 3  # a uniform distribution's
     sigma = np.sqrt(fit.covariance[:, CENTRE, CENTRE] * excess + misfit + doubt)
     kept = fit.settled & seen.is_near(offset, sigma)
-    return stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)
+    stripe = stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)
+    between = np.zeros(len(stripe.status), dtype=bool)
+    between[seen.peaks.columns] = _FULL_WIDTH * seen.width_px < seen.pitch_px
+    return withhold(stripe, between) if seen.pitch_px > 1 else stripe
