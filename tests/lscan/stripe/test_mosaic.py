@@ -58,6 +58,6 @@ def test_what_a_fit_through_every_bright_pixel_leaves_over_is_no_misfit() -> Non
     # Where noise alone was read from the skirts as the line's shape, sigma was ten times too large.
     ratio = []
     for seed, phase in enumerate(np.linspace(0.0, 1.0, 8, endpoint=False)):
-        stripe = line_by_ml(red_of(0.45, 40.0 + phase, None, seed))
+        stripe = line_by_ml(red_of(0.45, 40.0 + phase, None, 200 + seed))
         ratio.append(np.std(stripe.centre_px - (40.0 + phase)) / np.median(stripe.sigma_px))
-    assert 0.5 < np.median(ratio) < 1.4
+    assert 0.5 < np.mean(ratio) < 1.2
