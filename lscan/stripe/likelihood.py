@@ -53,6 +53,11 @@ that where the brighter of two colours was subtracted; and half as much again.""
 _FILLED_IN_PX2 = 4 / 6
 """What the mean of both neighbours adds to a line's variance: a triangle of two pixels each way."""
 _UNLIKE_ROWS = 20.0  # times that the rows between have: a line wider than a pixel has them alike
+_APART = {1: 1, 2: 4}
+"""Columns to the next that shares no noise, by the pitch of the rows: of a colour seen in every
+second column too, those between are the mean of both beside them."""
+_SEEN_NOISE = {1: 1.0, 2: 4 / 3}
+"""Variance of a seen pixel over that of all: half of the columns have half of it."""
 _FULL_WIDTH = 2.3548  # at half height, of a Gaussian, in standard deviations
 
 
@@ -199,11 +204,12 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
     if settings.noise is None:
         scaled = replace(peaks, rows=peaks.rows // pitch)
         aside = _aside(columns[:, first_row::pitch], scaled, rough / pitch)
-        noise, known_from = Noise(constant_variance(aside), 0.0), aside[:, 2:].size
+        constant = _SEEN_NOISE[pitch] * constant_variance(aside)
+        noise, known_from = Noise(constant, 0.0), aside[:, 2:].size
     start, count = _start(view, rough), len(rough)
     # About _SAMPLE columns, evenly, each with the next that shares no noise with it.
     first = np.arange(0, count, max(1, -(-2 * count // _SAMPLE)))
-    sample = np.unique(np.minimum(np.concatenate([first, first + _apart(pitch)]), count - 1))
+    sample = np.unique(np.minimum(np.concatenate([first, first + _APART[pitch]]), count - 1))
     return _LitColumns(
         settings, stripe, peaks, rough, noise, known_from, view, start, pitch, sample
     )
@@ -244,7 +250,9 @@ def _fit_samples(
     fits, scatters = fit_lines(searches) if searches else [], []
     for fit, one in zip(fits, found, strict=True):
         peaks = select(one.peaks, one.sample)
-        scatters.append(scatter_of(fit, peaks.columns, peaks.rows, _apart(one.pitch_px)))
+        scatter = scatter_of(fit, peaks.columns, peaks.rows, _APART[one.pitch_px])
+        different = _SEEN_NOISE[one.pitch_px] * scatter.different
+        scatters.append(replace(scatter, different=different))
     return fits, scatters
 
 
@@ -365,14 +373,6 @@ def _seen_rows(view: LineWindows, rows: Ints) -> tuple[int, int]:
     bent = [square[view.used[:, 1:-1] & (parity == one)].mean() for one in (0, 1)]
     filled_in = min(bent) <= _ROUNDED_DN2 and max(bent) >= _UNLIKE_ROWS * _ROUNDED_DN2
     return (2, int(np.argmax(bent))) if filled_in else (1, 0)
-
-
-def _apart(pitch_px: int) -> int:
-    """Columns from one to the next that shares no noise with it.
-
-    Of a colour that is seen in every second column, those between are the mean of both beside them.
-    """
-    return 1 if pitch_px == 1 else 2 * pitch_px
 
 
 def _start(view: LineWindows, width_px: Floats) -> Floats:

@@ -1,0 +1,108 @@
+"""Lines nearly parallel to the rows: what all their columns err by alike."""
+
+from itertools import product
+
+import numpy as np
+from scipy.special import ndtr
+
+from lscan.config.plugins import installed
+from lscan.config.rig import StripeSection
+from lscan.records import Bytes, Floats, has_value
+from lscan.stripe import extract_stripe
+from sim.sensor.noise import ColourFilter
+from tests.validation.exposures import band_miss_percent, share_inside
+from tests.validation.rows import Row, row
+
+HEIGHT, WIDTH = 80, 800
+EVERY = 4  # columns: so far apart they share no light behind a mosaic
+SLOPE = 0.3 / 640
+MONO = "mono"
+WIDTHS_PX = {MONO: (0.45, 0.7, 1.1, 2.0, 4.0), "RGGB": (1.1, 2.0, 4.0), "GBRG": (1.1, 2.0, 4.0)}
+NOISE_DN = (0.9, 3.0)
+PER_DN = 0.017  # a full well of 15,000 electrons
+LIGHT_DN, DARK_DN = 150.0, 8.0
+LEAK = (1.0, 0.08, 0.03)  # of a red laser's light into each colour
+
+
+def level_rows(quick: bool) -> list[Row]:
+    """How often the mean and the slope of 200 columns lie within 95 % intervals of their sigmas.
+
+    Parameters
+    ----------
+    quick : bool, whether the default extractor at a few phases will do
+    """
+    phases = 6 if quick else 60
+    names = (StripeSection().extractor,) if quick else installed("lscan.extractors")
+    rows = []
+    for name, colours in product(names, WIDTHS_PX):
+        ratios = np.array(
+            [
+                ratio
+                for width_px, noise_dn in product(WIDTHS_PX[colours], NOISE_DN)
+                for ratio in level_ratios(name, colours, width_px, noise_dn, phases)
+            ]
+        )
+        share = share_inside(ratios, np.ones_like(ratios)) if ratios.size else np.nan
+        key = "level-intervals" if name == StripeSection().extractor else "level-shares"
+        words = {"extractor": name, "colours": colours, "lines": len(ratios), "phases": phases}
+        figure = band_miss_percent(share)
+        rows.append(row(key, figure, seed=0, percent=100 * share, **words))
+    return rows
+
+
+def level_ratios(
+    extractor: str, colours: str, width_px: float, noise_dn: float, phases: int
+) -> Floats:
+    """(N, 2) errors of the mean and of the slope, over what independent columns would give them.
+
+    N: of the phases those at which half of the columns have a value.
+
+    Parameters
+    ----------
+    extractor : str
+    colours : str, pattern of the mosaic, "mono" for none
+    width_px : float, px, the line's standard deviation
+    noise_dn : float, DN, of reading
+    phases : int, places of the line, even over two rows
+    """
+    channel = "grey" if colours == MONO else "red"
+    settings = StripeSection(extractor=extractor, channel=channel, threshold_dn=15.0)
+    column = np.arange(WIDTH) - WIDTH / 2
+    found = []
+    for number, phase in enumerate(np.linspace(0.0, 2.0, phases, endpoint=False)):
+        rng = np.random.default_rng([number, round(100 * width_px), round(100 * noise_dn)])
+        centre = HEIGHT / 2 + phase + SLOPE * column
+        stripe = extract_stripe(_picture(centre, width_px, colours, noise_dn, rng), settings)
+        part = np.flatnonzero(has_value(stripe.status))
+        part = part[part % EVERY == 0]
+        if len(part) < WIDTH / EVERY / 2:
+            continue
+        error, sigma = (stripe.centre_px - centre)[part], stripe.sigma_px[part]
+        aside = column[part] - column[part].mean()
+        found.append(
+            (
+                error.sum() / np.sqrt((sigma**2).sum()),
+                (aside @ error) / np.sqrt((aside**2) @ (sigma**2)),
+            )
+        )
+    return np.array(found).reshape(-1, 2)
+
+
+def _picture(
+    centre: Floats, width_px: float, colours: str, noise_dn: float, rng: np.random.Generator
+) -> Bytes:
+    """A red line on the dark, each pixel the integral of the light over it, as a camera has it."""
+    edges = np.arange(HEIGHT + 1)[:, None] - 0.5
+    line = np.diff(ndtr((edges - centre) / width_px), axis=0)
+    light = LIGHT_DN * width_px * np.sqrt(2 * np.pi) * line
+    if colours == MONO:
+        grey = _with_noise(light + DARK_DN, noise_dn, rng)
+    else:
+        sensor = ColourFilter(colours, (HEIGHT, WIDTH))
+        mosaic = sensor.mosaic((light[..., None] * LEAK + DARK_DN).astype(np.float32))
+        grey = sensor.demosaic(_with_noise(mosaic, noise_dn, rng).astype(np.float32))
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+def _with_noise(light: Floats, noise_dn: float, rng: np.random.Generator) -> Floats:
+    return light + rng.normal(0.0, np.sqrt(noise_dn**2 + PER_DN * light))
