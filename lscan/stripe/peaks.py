@@ -310,7 +310,7 @@ FWHM = float(2 * np.sqrt(2 * np.log(2)))
 _NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's width
 
 
-def line_width(columns: GreyValues, at: Ints, crest: Ints) -> float:
+def line_width(columns: GreyValues, at: Ints, crest: Ints, stated_px: float | None = None) -> float:
     """Standard deviation in px, along the columns, of a Gaussian as wide as the line.
 
     The columns are laid over each other with their brightest pixels together; the width is
@@ -322,7 +322,10 @@ def line_width(columns: GreyValues, at: Ints, crest: Ints) -> float:
     columns : (W, H) array, DN, one column of the picture a row
     at : (K,) array, indices of the columns that have a line, at least one
     crest : (K,) array, px, row of the highest value of each of those
+    stated_px : float, optional, px, full width at half height, where that is known
     """
+    if stated_px is not None:
+        return max(stated_px / FWHM, _NARROWEST_PX)
     reach = min(_REACH_PX, columns.shape[1] - 1)
     profile = windows(columns, at, crest, reach).mean(axis=0)
     half = (profile[reach] + profile.min()) / 2
