@@ -185,6 +185,10 @@ def _light(
     Clipped are the pixels at the end of the range by the laser's doing.
     """
     check_pair(image, background)
+    if settings.line_width_px and peaks.smoothing_px(settings.line_width_px):
+        # A window of the paper's span would see no more of a wide line than its speckle.
+        span_px = max(settings.span_px, int(settings.line_width_px))
+        settings = settings.model_copy(update={"span_px": span_px})
     lit = taken = lines_of(image, settings.channel, settings.axis, where="image")
     if settings.gamma != 1:
         # Coding and the end of the range show in the grey values as the camera gave them.

@@ -23,7 +23,15 @@ from lscan.stripe.fit import (
     parameters_of,
     scatter_of,
 )
-from lscan.stripe.peaks import Peaks, all_windows, clipped_near, nominal_peaks, stripe_at, windows
+from lscan.stripe.peaks import (
+    FWHM,
+    Peaks,
+    all_windows,
+    clipped_near,
+    nominal_peaks,
+    stripe_at,
+    windows,
+)
 from lscan.stripe.picture import Noise, constant_variance, robust_variance, sample_of, stated_noise
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
@@ -168,6 +176,8 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
     else:
         noise = stated_noise(settings.noise, float(np.median(peaks.base)))
     rough = _rough_width(columns, peaks, noise.constant)
+    if settings.line_width_px is not None:
+        rough = np.full(len(rough), settings.line_width_px / FWHM)
     peaks = _recentre(columns, peaks, float(np.median(rough)))
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:

@@ -28,6 +28,7 @@ from lscan.stripe.peaks import (
     pairs,
     relief_of,
     runs_of,
+    smoothed_by_width,
     spots_near,
     spots_of,
 )
@@ -374,6 +375,11 @@ def choose_return(
     doubtful = white and rivals >= _RIVALS * count
     if doubtful or specked or is_textured(columns, crest, spots, run, settings):
         return _line_in_texture(columns, spots, settings, clipped)
+    stated_px = settings.line_width_px
+    smoothed = smoothed_by_width(columns, stated_px)
+    if smoothed is not columns:
+        spots = spots_of(relief_of(columns, width_px=stated_px), settings.threshold_dn)
+        run, crest = runs_of(spots), crests(smoothed)
     choice = _choose(spots, run, _isolated_spots(spots, run), settings)
     if not choice.rejected.any():
         return OneReturn(image, crest, clipped, choice.ambiguous(count))
@@ -382,11 +388,10 @@ def choose_return(
     here = np.flatnonzero(np.isin(spots.column, at))
     there = replace(select(spots, here), column=np.searchsorted(at, spots.column[here]))
     over = footprint(there, choice.rejected[here], (len(at), columns.shape[1]))
-    painted[at] = np.where(
-        over, np.minimum(columns[at], relief_of(columns[at]).ground), columns[at]
-    )
+    ground = relief_of(columns[at], width_px=stated_px).ground
+    painted[at] = np.where(over, np.minimum(columns[at], ground), columns[at])
     lost[at] &= ~over
-    crest[at] = crests(painted[at])
+    crest[at] = crests(smoothed_by_width(painted[at], stated_px))
     return OneReturn(painted.T, crest, lost.T, choice.ambiguous(count))
 
 
@@ -400,7 +405,7 @@ def _line_in_texture(
     """
     count, threshold_dn = len(columns), settings.threshold_dn
     width_px = settings.line_width_px or line_width_px(seen)
-    relief = relief_of(columns, ground_px(width_px), sharp=True)
+    relief = relief_of(columns, ground_px(width_px), sharp=True, width_px=settings.line_width_px)
     spots = spots_of(relief, threshold_dn)
     path = paths_of(spots, columns.shape, width_px)
     kept = path >= 0
@@ -408,7 +413,8 @@ def _line_in_texture(
     run = np.unique(path[kept], return_inverse=True)[1]
     choice = _choose(lines, run, np.zeros(len(run), dtype=bool), settings)
     kept[kept] = ~choice.rejected
-    even = np.ptp(relief_of(columns).ground, axis=1) <= threshold_dn / 2
+    ground = relief_of(columns, width_px=settings.line_width_px).ground
+    even = np.ptp(ground, axis=1) <= threshold_dn / 2
     left = np.bincount(spots.column[kept], minlength=count)
     even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
     flat, near = flatten(relief, spots, kept, threshold_dn)
@@ -416,7 +422,7 @@ def _line_in_texture(
     image = np.where(even[:, None], columns, flat)
     return OneReturn(
         image=image.T,
-        crest=crests(image),
+        crest=crests(smoothed_by_width(image, settings.line_width_px)),
         clipped=(np.ascontiguousarray(clipped.T) & near).T,
         ambiguous=choice.ambiguous(count),
         textured=True,

@@ -268,8 +268,16 @@ def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> li
     for (stripe, *_), at, end, *scale in zip(seen, valued, ends, widths, scales, strict=True):
         squared, line = np.full((2, len(stripe.status)), np.nan)
         squared[at], line[at] = across[end - len(at) : end], places[end - len(at) : end]
-        found.append(LightMoments(*scale, line, squared / (1 + np.gradient(line) ** 2)))
+        found.append(LightMoments(*scale, line, squared / (1 + _slope(line, scale[-1]) ** 2)))
     return found
+
+
+def _slope(line: Floats, scale_px: float) -> Floats:
+    """(N,) px a column, over half of the line's width to either side: scatter is no slope."""
+    reach, at = max(round(scale_px / 2), 1), np.arange(len(line))
+    before, after = np.maximum(at - reach, 0), np.minimum(at + reach, len(line) - 1)
+    slope: Floats = (line[after] - line[before]) / (after - before)
+    return slope
 
 
 def _moments(weighted: Floats, factor: Floats) -> Floats:
