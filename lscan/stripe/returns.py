@@ -343,13 +343,13 @@ def choose_return(
     less than 0.35 of another's light, in the columns they share, is a reflection, unless the
     two share so few that they are pieces of one line that takes a step.  Of those left,
     "first" takes the uppermost, "last" the lowest, "brightest" the run with the most light in
-    the shared columns, if it has 1.25 times that of the next: otherwise the columns are
-    ambiguous.  A blob by itself, no longer than high, is no line even where there is no
-    other, if the picture has a line ten times as long.  A line counts from ``threshold_dn``
-    above the ground near it.
+    the shared columns, if it has 1.25 times that of the next and that is not thrice as long:
+    otherwise the columns are ambiguous.  A blob by itself, no longer than high, is no line even
+    where there is no other, if the picture has a line ten times as long.  A line counts from
+    ``threshold_dn`` above the ground near it.
 
-    With "first" and "last" in a picture of two lines, a column that shows one of them alone is
-    given to the line that the run belongs to where both are seen, or that it lies nearer to;
+    With "first" and "last" in a picture of two lines or more, a spot in a column that lacks one of
+    them is given to the line that its run belongs to where all are seen, or that it lies nearer to;
     it is ambiguous where that is not clear.
 
     On a lit target (below), and where "first" or "last" would often be a speck, the runs are
@@ -515,15 +515,21 @@ def _choose(spots: Spots, run: Ints, rejected: Mask, settings: StripeSection) ->
 def _told_apart(
     spots: Spots, run: Ints, rejected: Mask, yielding: Mask, first: bool
 ) -> tuple[Mask, Mask]:
-    """(K,) spots alone in their column that are of the other line, and those that may be.
+    """(K,) spots in columns that lack a line that are of another one, and those that may be.
+
+    A picture has as many lines as are seen together in a quarter of its columns.
 
     yielding: (K,) spots that yielded to the line meant, which is the first or the last.
     """
     none = np.zeros(len(run), dtype=bool)
-    both = np.isin(spots.column, spots.column[yielding])
-    if len(np.unique(spots.column[both])) <= _SECOND_LINE * len(np.unique(spots.column)):
+    shown = np.bincount(spots.column, ~rejected | yielding)
+    columns = len(np.unique(spots.column))
+    lines = np.sort(shown)[::-1][int(_SECOND_LINE * columns)] if columns else 0
+    if lines < 2:
         return none, none
+    both = shown[spots.column] >= lines
     meant = both & ~rejected
+    yielding = both & yielding
     won, lost = np.bincount(run, meant), np.bincount(run, yielding)
     known = won + lost > 0
     share = np.divide(won, won + lost, out=np.full(len(won), 0.5), where=known)
@@ -578,7 +584,10 @@ def _rejected_spots(
     weaker = ~np.roll(speck, len(first)) & by_light & (own < _WEAKER * other)
     faint[spot[speck | weaker]] = True
     if settings.returns == "brightest":
-        yields = other >= _CLEARLY * own
+        # What is short and no brighter than a reflection is weaker may be one: the long line that
+        # goes on beneath it does not yield.
+        goes_on = (length[a] > _LONGER * length[b]) & (own >= _WEAKER * other)
+        yields = (other >= _CLEARLY * own) & ~goes_on
     else:
         yields = np.repeat([settings.returns == "last", settings.returns == "first"], len(first))
     yielding[spot[yields & ~faint[spot] & ~faint[rival]]] = True

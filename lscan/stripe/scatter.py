@@ -41,6 +41,7 @@ _FEWEST_DIFFERENCES = 32  # third differences
 _WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
 _SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
 _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
+_INSIDE, _FEWEST_INSIDE = slice(4, 12), 4  # columns from an end, beyond which it is not blurred
 _STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
 
 
@@ -54,6 +55,8 @@ def at_least_seen(
     seen: Sequence[SeenLine], settings: StripeSection, smooths: bool = False
 ) -> list[Stripe]:
     """The stripes with sigma_px enlarged to what their centres scatter about their neighbours.
+
+    Near the ends of a sloping line it also grows by what a blur that is not stated may do.
 
     One factor for the columns that are OK and one for those SATURATED, never below 1.
 
@@ -71,14 +74,43 @@ def at_least_seen(
     """
     enough = [np.count_nonzero(has_value(one.status)) >= _FEWEST_DIFFERENCES for one, *_ in seen]
     chosen = list(compress(seen, enough))
-    each = zip(chosen, light_moments(chosen, settings.line_width_px), strict=True)
-    widened = (
-        _widen_sigma(one[0], of)
-        if settings.noise is None
-        else _widen_beyond_stated(one, of, settings.noise, smooths)
-        for one, of in each
-    )
-    return [next(widened) if many else one[0] for one, many in zip(seen, enough, strict=True)]
+    widened = []
+    for one, of in zip(chosen, light_moments(chosen, settings.line_width_px), strict=True):
+        if settings.noise is None:
+            stripe = _widen_sigma(one[0], of)
+        else:
+            stripe = _widen_beyond_stated(one, of, settings.noise, smooths)
+        if settings.blur_px is None:
+            sigma_px = np.hypot(stripe.sigma_px, _end_doubt(stripe, of))
+            stripe = replace(stripe, sigma_px=sigma_px)
+        widened.append(stripe)
+    found = iter(widened)
+    return [next(found) if many else one[0] for one, many in zip(seen, enough, strict=True)]
+
+
+def _end_doubt(stripe: Stripe, light: "LightMoments") -> Floats:
+    """(N,) px, standard uncertainty of centres near an end for what blur may have moved them.
+
+    By s² v' F'/F (corrections.py), of a blur s that is not known: it lies between none and the
+    line's own width, and the shift anywhere between 0 and that (a rectangular distribution about
+    0, GUM 4.3.7).  The fall of the light F is that from the next column towards the inside, or
+    between both neighbours where that is more; the slope v' is the one farther inside, for at the
+    end all light is that of the last column.
+    """
+    doubt, run = np.zeros(len(stripe.status)), light.pieces(stripe)
+    for piece in range(run.max() + 1):
+        columns = np.flatnonzero(run == piece)
+        for end in (columns, columns[::-1]):
+            inner = end[_INSIDE]
+            if len(inner) < _FEWEST_INSIDE or end[0] in (0, len(run) - 1):
+                continue
+            slope = (stripe.centre_px[inner[-1]] - stripe.centre_px[inner[0]]) / (len(inner) - 1)
+            width = light.scale_px**2 * np.median(light.squared[inner])
+            near = end[: _INSIDE.stop]
+            fall = np.maximum(np.diff(np.log(light.flux[near])), 0.0)
+            fall[1:] = np.maximum(fall[1:], (fall[:-1] + fall[1:]) / 2)
+            doubt[near[:-1]] = np.hypot(doubt[near[:-1]], abs(slope) * width * fall / np.sqrt(3))
+    return np.nan_to_num(doubt)
 
 
 def _widen_sigma(stripe: Stripe, light: "LightMoments") -> Stripe:
@@ -169,12 +201,14 @@ class LightMoments(NamedTuple):
     scale_px : float, px, that of the Gaussian
     middle : (N,) array, px, first moment of the light; NaN where there is no line
     squared : (N,) array, the light's variance over that of the Gaussian, likewise
+    flux : (N,) array, DN, the light
     """
 
     line_px: float
     scale_px: float
     middle: Floats
     squared: Floats
+    flux: Floats
 
     def pieces(self, stripe: Stripe) -> Ints:
         """(N,) number of the piece each column belongs to (peaks.py), -1 for none.
@@ -264,11 +298,15 @@ def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> li
         middle = about + spread * np.clip(2 * step, -1.0, 1.0)
     variance = ((second - 2 * about * first) / total + about**2) / spread**2
     across, places = variance / np.where(variance < 1, 1 - variance, np.nan), row + middle
+    # With the factors that all weights have in common, the one of _moments too.
+    flux = total * np.exp(-about * (about / 2 + max(reach)) / spread**2)
     found = []
     for (stripe, *_), at, end, *scale in zip(seen, valued, ends, widths, scales, strict=True):
-        squared, line = np.full((2, len(stripe.status)), np.nan)
-        squared[at], line[at] = across[end - len(at) : end], places[end - len(at) : end]
-        found.append(LightMoments(*scale, line, squared / (1 + _slope(line, scale[-1]) ** 2)))
+        part, values = slice(end - len(at), end), np.full((3, len(stripe.status)), np.nan)
+        values[:, at] = places[part], across[part], flux[part]
+        line, squared, light = values
+        squared /= 1 + _slope(line, scale[-1]) ** 2
+        found.append(LightMoments(*scale, line, squared, light))
     return found
 
 
