@@ -98,7 +98,8 @@ def extract(
     if wide_px > seen_px:
         note(
             f"the line is at least {wide_px:.0f} px wide at half its height, of which "
-            f"{settings.extractor} sees {seen_px}: try --extractor ml, or a larger --span-px"
+            f"{settings.extractor} sees {seen_px}: try --extractor ml, a larger --span-px, or "
+            "state line_width_px under [stripe]"
         )
     if rig is roi is mask is None:
         shows_more = partial(_shows_more, image, dark, settings, stripes[0])

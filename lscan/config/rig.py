@@ -97,7 +97,9 @@ class StripeSection(Strict):
     for lasers that the camera shows turquoise or violet; "auto": the excess of the colour whose
     line stands out most from the picture, and a lower threshold_dn where that line is faint.
     returns: which line is meant where a column holds several.  line_width_px: full width of the
-    line at half its height, by which it is told from texture; None: found from each picture.
+    line at half its height, by which it is told from texture; from 4.7 px on its speckle is
+    smoothed over half of that before its peak is looked for, and span_px is no less; None: found
+    from each picture.
     smooth_px: standard deviation, along the line, of a robust smoothing; 0 leaves every column to
     itself.  blur_px: standard deviation of the camera's point spread, with which the shift that
     blur gives to a curved line of uneven brightness is corrected for; None: not corrected.

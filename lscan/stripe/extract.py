@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import compress
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.config.plugins import find_plugin_or_function, foreign_error, frames_of_others
-from lscan.config.rig import NoiseSection, StripeSection
+from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import write_atomically
 from lscan.files.pictures import linear_dn, linear_picture
@@ -20,7 +19,6 @@ from lscan.records import (
     Bytes,
     Floats,
     GreyValues,
-    Ints,
     Mask,
     PlanePoints,
     Status,
@@ -45,287 +43,9 @@ from lscan.stripe.picture import (
     faint_threshold,
     is_coded,
     lines_of,
-    robust_variance,
-    stated_noise,
 )
 from lscan.stripe.returns import OneReturn, choose_return, withhold
-
-# The scatter of a line's centres as the line itself shows it, from column to column.
-#
-# A model of the noise (picture.py) gives every pixel an error of its own.  In the pictures of most
-# cameras that does not hold: colours are filled in from neighbours, edges sharpened, blocks of
-# pixels compressed together, and the target's texture shifts the light of many columns alike.
-# Errors that pixels share average out less, and a noise estimated from how neighbouring pixels
-# differ is too small.
-#
-# What the centres do is seen without a model.  Third differences along the line,
-# c[i] - 3 c[i+h] + 3 c[i+2h] - c[i+3h], vanish on any parabola, and hold 20 times the variance of
-# errors that are independent h columns apart.  So h must reach as far as columns share errors;
-# the shorter it is, the less of the target's relief is taken for scatter.  How far that is, the
-# line's *width* tells: it has the errors of the same pixels, and hardly any of the relief.
-# Where its third differences are the same at every h, each column has errors of its own, h is 1,
-# and of relief nothing is left but what is rough from one column to the next.
-
-
-_Number = TypeVar("_Number", bound=np.number)
-
-_REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2
-"""By how much the variance of a mean square of third differences exceeds that of as many
-independent values: the sum of their squared autocorrelations, 1, -15/20, 6/20 and -1/20."""
-
-_LAGS = (1, 2, 4, 8, 16)  # columns; a block of JPEG has 8, of its subsampled colours 16
-_SETTLED = 1.25  # ratio of the variances at a lag and the one before that is no growth
-_BEYOND_CHANCE = 4.0  # standard deviations
-_FEWEST_DIFFERENCES = 32  # third differences
-_WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
-_SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
-_FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
-_STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
-
-
-SeenLine = tuple[Stripe, GreyValues, Ints]
-"""A stripe, px, of N entries; the light (N, L) in DN, row i being the column (or row) of the
-picture that entry i of the stripe was found in; and (N,), px, where each of those is the highest.
-"""
-
-
-def at_least_seen(seen: Sequence[SeenLine]) -> list[Stripe]:
-    """The stripes with sigma_px enlarged to what their centres scatter about their neighbours.
-
-    One factor for the columns that are OK and one for those SATURATED, never below 1.
-
-    Parameters
-    ----------
-    seen : sequence of SeenLine, of one picture each
-    """
-    enough = [
-        np.count_nonzero(has_value(stripe.status)) >= _FEWEST_DIFFERENCES for stripe, *_ in seen
-    ]
-    lags = iter(shared_columns(list(compress(seen, enough))))
-    each = zip(seen, enough, strict=True)
-    return [_widen_sigma(one[0], next(lags)) if many else one[0] for one, many in each]
-
-
-def beyond_stated(seen: Sequence[SeenLine], settings: StripeSection) -> list[Stripe]:
-    """The stripes with sigma_px enlarged where a line scatters more than its stated noise makes it.
-
-    What is compared is the light's own first moment, weighted with a Gaussian of the line's width:
-    that judges the noise which is stated, and not what an extractor makes of it.  Where it exceeds
-    the noise, sigma_px grows by that, or by no more than the centres scatter beyond it.
-
-    Parameters
-    ----------
-    seen : sequence of SeenLine, of one picture each
-    settings : StripeSection, the extractor, and the noise as stated for these pictures
-    """
-    assert settings.noise is not None
-    found = []
-    for one in seen:
-        stripe, factor = one[0], 1.0
-        if np.count_nonzero(has_value(stripe.status)) >= _FEWEST_DIFFERENCES:
-            moments, lag = _weighted_middles(*one, settings.noise), shared_columns([one])[0]
-            factor = excess(moments, peaks.pieces(moments), lag)
-            if factor > 1 and not smooths_along(find_extractor(settings.extractor)):
-                factor = min(factor, excess(stripe, peaks.pieces(stripe), lag))
-        found.append(replace(stripe, sigma_px=factor * stripe.sigma_px))
-    return found
-
-
-def _weighted_middles(
-    stripe: Stripe, light: GreyValues, crest: Ints, noise: NoiseSection
-) -> Stripe:
-    """The stripe whose centres are the light's weighted first moments; sigma by the noise stated.
-
-    The middle m solves sum of w (x - m) I = 0 with weights w(x - m), so that a pixel moves it by
-    w (x - m) over the sum of w I (1 - (x - m)² / s²).
-    """
-    at = np.flatnonzero(stripe.status == Status.OK)
-    row = np.rint(stripe.centre_px[at]).astype(int)
-    scale = max(peaks.line_width(light, at, crest[at]), _FINEST_PX) if len(at) else _FINEST_PX
-    steps = np.arange(-int(np.ceil(3 * scale)) - 2, int(np.ceil(3 * scale)) + 3)
-    grey = peaks.windows(light, at, row, steps)
-    line = grey - grey[:, [0, 1, -2, -1]].mean(axis=1, keepdims=True)
-    middle = stripe.centre_px[at] - row
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for _ in range(2 * _STEPS):
-            off = steps - middle[:, None]
-            weighted = np.exp(-0.5 * (off / scale) ** 2) * line
-            moved = (weighted * off).sum(axis=1) / weighted.sum(axis=1)
-            middle = middle + np.clip(2 * moved, -scale, scale)
-        by_pixel = np.exp(-0.5 * (off / scale) ** 2) * off
-        by_pixel /= (weighted * (1 - (off / scale) ** 2)).sum(axis=1)[:, None]
-        variance = stated_noise(noise, 0.0).variance(np.maximum(grey, 0.0))
-        # Speckle is the laser's: the ground has none.
-        variance += noise.speckle**2 * (np.maximum(line, 0.0) ** 2 - np.maximum(grey, 0.0) ** 2)
-        sigma = np.sqrt((by_pixel**2 * variance).sum(axis=1))
-    good = np.isfinite(middle) & (np.abs(middle) < scale + 1) & (sigma > 0) & np.isfinite(sigma)
-    status = np.full(len(stripe.status), int(Status.NO_PEAK))
-    centre_px, sigma_px = np.full((2, len(status)), np.nan)
-    kept = at[good]
-    status[kept], centre_px[kept], sigma_px[kept] = Status.OK, (row + middle)[good], sigma[good]
-    return replace(stripe, centre_px=centre_px, sigma_px=sigma_px, status=status)
-
-
-def _widen_sigma(stripe: Stripe, lag: int) -> Stripe:
-    """The same of a stripe whose columns share errors along ``lag`` columns."""
-    run, sigma_px = peaks.pieces(stripe), stripe.sigma_px.copy()
-    for status in (Status.OK, Status.SATURATED):
-        kept = stripe.status == status
-        if np.count_nonzero(kept) > _FEWEST_DIFFERENCES:
-            sigma_px[kept] *= excess(stripe, np.where(kept, run, -1), lag)
-    return replace(stripe, sigma_px=sigma_px)
-
-
-def excess(stripe: Stripe, run: Ints, lag: int) -> float:
-    """Scatter of the centres over the one that sigma_px states, at least 1.
-
-    The largest that is seen at the lag or a shorter one: of errors that columns share, short
-    lags see less.  At a lag of 1 the noise may be as stated, and an excess within chance, four
-    standard deviations of it, counts as none.
-
-    Parameters
-    ----------
-    stripe : Stripe, px, of N entries
-    run : (N,) array, number of the piece each entry belongs to (peaks.py), -1 for none
-    lag : int, columns, from which on the centres' errors are independent; lags are left out at
-        which the pieces hold fewer than 32 third differences, or less than eight stretches
-    """
-    chance, ratio = _BEYOND_CHANCE if lag == 1 else 0.0, 0.0
-    while lag >= 1:
-        at = _in_one_piece(run, lag)
-        count = np.count_nonzero(at)
-        if count >= max(_FEWEST_DIFFERENCES, _SPANS * lag):
-            first, second, third, last = _apart(stripe.sigma_px**2, lag)
-            stated = np.sqrt(first + last + 9 * (second + third))[at]
-            seen = _third_differences(stripe.centre_px, lag)[at]
-            ratio = max(ratio, robust_variance(seen / stated))
-            chance *= np.sqrt(2 * _REPEATED / count)
-        lag = 3 * lag // 4
-    return float(np.sqrt(ratio)) if ratio > 1 + chance else 1.0
-
-
-def shared_columns(seen: Sequence[SeenLine]) -> list[int]:
-    """Columns along which the pixels of each picture share their errors, 1 where each has its own.
-
-    The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
-    no more.  Where that is beyond 1 it is at least three widths of the line, over which some
-    extractors smooth along it; it is 1 too where none grows by more than chance, four standard
-    deviations of it.
-
-    Parameters
-    ----------
-    seen : sequence of SeenLine, of one picture each, in which some columns have a value
-    """
-    scales = [
-        peaks.line_width(light, at := _known_columns(one), crest[at]) for one, light, crest in seen
-    ]
-    widths = _variances(seen, [max(scale, _FINEST_PX) for scale in scales]) if seen else []
-    each = zip(seen, widths, scales, strict=True)
-    return [_lag(stripe, width, scale) for (stripe, *_), width, scale in each]
-
-
-def _known_columns(stripe: Stripe) -> Ints:
-    return np.flatnonzero(has_value(stripe.status))
-
-
-def _lag(stripe: Stripe, width: Floats, scale: float) -> int:
-    """The same of one picture, from the line's variance (N,) in each of its columns."""
-    run = np.where(np.isfinite(width), peaks.pieces(stripe), -1)
-    growths: list[float] = []
-    by_chance, last = True, np.inf
-    for lag in _LAGS:
-        values = _third_differences(width, lag)[_in_one_piece(run, lag)]
-        if len(values) < _FEWEST_DIFFERENCES:
-            continue
-        scatter = robust_variance(values)
-        growths.append(scatter / max(last, np.finfo(float).tiny))
-        if len(growths) == 2 and growths[1] <= _SETTLED:
-            return 1
-        # Two variances are compared, each of as many values as the second has, or more.
-        by_chance &= growths[-1] <= 1 + _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))
-        last = scatter
-    if by_chance:
-        return 1
-    settled = int(np.append(np.array(growths[1:]) <= _SETTLED, True).argmax())
-    return max(_LAGS[settled], int(np.ceil(_WIDTHS * scale)))
-
-
-def _variances(seen: Sequence[SeenLine], scales: Sequence[float]) -> list[Floats]:
-    """(N,) the light's variance across the line over scale², NaN where there is no line; of each.
-
-    By moments weighted with a Gaussian of the width ``scale``, in px, about as wide as the line.
-    Through it half of a line's displacement is seen, so each step to the line's middle goes twice
-    as far as the first moment says; and of the variance w² only s² w² / (s² + w²), which is
-    turned back.  Along a column a line of slope t is wider than across itself by (1 + t²)^(1/2).
-
-    A weight about the middle m is that about 0 times exp(m k / s²) at the pixel k, but for a factor
-    that all have in common, and so for none: of the weights about 0 powers of a number are left.
-    """
-    valued = [_known_columns(stripe) for stripe, *_ in seen]
-    ends = np.cumsum([len(at) for at in valued])
-    centre = np.concatenate([one.centre_px[at] for (one, *_), at in zip(seen, valued, strict=True)])
-    row = np.rint(centre).astype(int)
-    reach = [int(np.ceil(3 * scale)) + 2 for scale in scales]
-    weighted = np.zeros((2 * max(reach) + 1, len(row)))  # (n, K): n is short
-    for (_, light, _), at, end, far, scale in zip(seen, valued, ends, reach, scales, strict=True):
-        part, beside = slice(end - len(at), end), max(reach) - far
-        grey = peaks.windows(light, at, row[part], far).T
-        weight = np.exp(-0.5 * (np.arange(-far, far + 1) / scale) ** 2)[:, None]
-        ground = grey[[0, 1, -2, -1]].mean(axis=0)
-        weighted[beside : len(weighted) - beside, part] = weight * (grey - ground)
-    spread = np.repeat(scales, [len(at) for at in valued])
-    middle = centre - row
-    for _ in range(_STEPS):
-        about = middle
-        zeroth, first, second = _moments(weighted, np.exp(about / spread**2))
-        total = np.where(zeroth > 0, zeroth, np.nan)
-        moved = (first / total - about) / spread
-        middle = about + spread * np.clip(2 * moved, -1.0, 1.0)
-    variance = ((second - 2 * about * first) / total + about**2) / spread**2
-    across, places = variance / np.where(variance < 1, 1 - variance, np.nan), row + middle
-    found = []
-    for (stripe, *_), at, end in zip(seen, valued, ends, strict=True):
-        squared, line = np.full((2, len(stripe.status)), np.nan)
-        squared[at], line[at] = across[end - len(at) : end], places[end - len(at) : end]
-        found.append(squared / (1 + np.gradient(line) ** 2))
-    return found
-
-
-def _moments(weighted: Floats, factor: Floats) -> Floats:
-    """(3, K) zeroth to second moments of ``weighted`` (n, K) times ``factor`` (K,) ** step.
-
-    All by one factor more, that of the pixels before the middle one.  Horner's scheme.
-    """
-    total, reach = np.zeros((3, len(factor))), len(weighted) // 2
-    for step in range(reach, -reach - 1, -1):
-        total *= factor
-        light = weighted[step + reach]
-        for moment in total:
-            moment += light
-            light = light * step
-    return total
-
-
-def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:
-    """Four times (Q,) values of (N,), each ``lag`` entries after the one before."""
-    count = max(len(values) - 3 * lag, 0)
-    return [values[k * lag : k * lag + count] for k in range(4)]
-
-
-def _in_one_piece(run: Ints, lag: int) -> Mask:
-    """(Q,) whether four entries ``lag`` apart are all of the same piece; -1 is none."""
-    first, second, third, last = _apart(run, lag)
-    return (first >= 0) & (first == second) & (first == third) & (first == last)
-
-
-def _third_differences(values: Floats, lag: int) -> Floats:
-    """(Q,) of values (N,), ``lag`` entries apart."""
-    first, second, third, last = _apart(values, lag)
-    return first - last + 3 * (third - second)
-
-
-# From a picture to the stripe in it: the one function that everybody calls.
-
+from lscan.stripe.scatter import at_least_seen
 
 _Value = TypeVar("_Value", bound=np.generic)
 
@@ -439,7 +159,7 @@ def _complete_stripes(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stri
     stripes = list(map(_doubt_by_target, peaks.split_stripe(whole, len(found)), found_in))
     crests = [seen.chosen.crest for seen in found_in]
     each = list(zip(stripes, lights, crests, strict=True))
-    stripes = at_least_seen(each) if settings.noise is None else beyond_stated(each, settings)
+    stripes = at_least_seen(each, settings, smooths_along(find_extractor(settings.extractor)))
     for place, light in enumerate(lights):
         stripe = correct_blur(stripes[place], settings, light)
         stripes[place] = smooth(stripe, settings.smooth_px)
@@ -465,6 +185,10 @@ def _light(
     Clipped are the pixels at the end of the range by the laser's doing.
     """
     check_pair(image, background)
+    if settings.line_width_px and peaks.smoothing_px(settings.line_width_px):
+        # A window of the paper's span would see no more of a wide line than its speckle.
+        span_px = max(settings.span_px, int(settings.line_width_px))
+        settings = settings.model_copy(update={"span_px": span_px})
     lit = taken = lines_of(image, settings.channel, settings.axis, where="image")
     if settings.gamma != 1:
         # Coding and the end of the range show in the grey values as the camera gave them.

@@ -23,6 +23,7 @@ from lscan.stripe.fit import (
     scatter_of,
 )
 from lscan.stripe.peaks import (
+    FWHM,
     Peaks,
     all_windows,
     clipped_near,
@@ -58,7 +59,6 @@ _APART = {1: 1, 2: 4}
 second column too, those between are the mean of both beside them."""
 _SEEN_NOISE = {1: 1.0, 2: 4 / 3}
 """Variance of a seen pixel over that of all: half of the columns have half of it."""
-_FULL_WIDTH = 2.3548  # at half height, of a Gaussian, in standard deviations
 
 
 @dataclass(frozen=True)
@@ -191,6 +191,8 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
     else:
         noise = stated_noise(settings.noise, float(np.median(peaks.base)))
     rough = _rough_width(columns, peaks, noise.constant)
+    if settings.line_width_px is not None:
+        rough = np.full(len(rough), settings.line_width_px / FWHM)
     peaks = _recentre(columns, peaks, float(np.median(rough)))
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:
@@ -574,5 +576,5 @@ def _stripe(seen: Survey, fit: LineFit, crest: Floats) -> Stripe:
     kept = fit.settled & seen.is_near(offset, sigma)
     stripe = stripe_at(seen.stripe, seen.peaks, offset, sigma, kept)
     between = np.zeros(len(stripe.status), dtype=bool)
-    between[seen.peaks.columns] = _FULL_WIDTH * seen.width_px < seen.pitch_px
+    between[seen.peaks.columns] = FWHM * seen.width_px < seen.pitch_px
     return withhold(stripe, between) if seen.pitch_px > 1 else stripe

@@ -157,7 +157,8 @@ def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tu
 
     A column has a line where its highest value, the first maximum from the top, exceeds its
     median by more than ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where ``span_px`` to
-    either side do not fit the picture.
+    either side do not fit the picture.  Highest is meant of the column smoothed as
+    :func:`smoothed_by_width` does where the line's width is stated.
 
     Parameters
     ----------
@@ -170,10 +171,11 @@ def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tu
     Sec. V.B of the paper.
     """
     height = pictures[0].shape[1]
-    places = [crests(columns) for columns in pictures]
+    smoothed = [smoothed_by_width(columns, settings.line_width_px) for columns in pictures]
+    places = [crests(columns) for columns in smoothed]
     rows = np.concatenate(places)
     base = np.concatenate([order_statistic(columns, height // 2) for columns in pictures])
-    each = zip(pictures, places, strict=True)
+    each = zip(smoothed, places, strict=True)
     peak = np.concatenate([columns[np.arange(len(row)), row] for columns, row in each]) - base
     width = len(rows)
     border = (rows < settings.span_px) | (rows >= height - settings.span_px)
@@ -184,6 +186,38 @@ def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tu
     stripe = Stripe("columns", empty, empty.copy(), peak, status)
     found = np.flatnonzero(status == Status.OK)
     return stripe, Peaks(found, rows[found], base[found])
+
+
+def smoothing_px(width_px: float | None) -> float:
+    """Standard deviation over which the columns of a wide line are smoothed: half the line's own.
+
+    0 where no width is stated, and where that is less than the pixel over which every line is
+    smoothed when it is told from its ground.
+
+    Parameters
+    ----------
+    width_px : float or None, px, full width of the line at half its height, as it is stated
+    """
+    sigma_px = (width_px or 0.0) / (2 * FWHM)
+    return sigma_px if sigma_px > _SMOOTHING_PX else 0.0
+
+
+def smoothed_by_width(columns: GreyValues, width_px: float | None) -> GreyValues:
+    """The columns (W, H) smoothed along themselves where a wide line's width is stated.
+
+    Speckle then neither splits the line nor has a crest of its own; a Gaussian line is wider by an
+    eighth.  Else the columns come back as they are.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    width_px : float or None, px, as :func:`smoothing_px` takes it
+    """
+    sigma_px = smoothing_px(width_px)
+    if not sigma_px:
+        return columns
+    single = columns.astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(single, (0, 1), sigmaX=sigma_px), np.float32)
 
 
 def all_windows(columns: NDArray[_Value], length: int) -> NDArray[_Value]:
@@ -333,23 +367,45 @@ _REACH_PX = 30
 FWHM = float(2 * np.sqrt(2 * np.log(2)))
 """Full width at half height of a Gaussian, of its standard deviation."""
 _NARROWEST_PX = 0.5  # a line that falls into one pixel shows half a pixel's width
+_TURNS, _WIDER = 3, 1.1  # a line whose width grows by less in a turn is as wide as it seemed
 
 
-def line_width(columns: GreyValues, at: Ints, crest: Ints) -> float:
+def line_width(columns: GreyValues, at: Ints, crest: Ints, stated_px: float | None = None) -> float:
     """Standard deviation in px, along the columns, of a Gaussian as wide as the line.
 
     The columns are laid over each other with their brightest pixels together; the width is
     that of their mean profile at half its height above its lowest value, over 2.355.  A
-    clipped crest widens it, as a bright line's is to be.  Never below 0.5 px.
+    clipped crest widens it, as a bright line's is to be.  Never below 0.5 px.  The brightest
+    grain of a line's speckle is as narrow as a grain: where the columns smoothed over that width,
+    laid over each other likewise, show a wider line, it is that, and so on.
 
     Parameters
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     at : (K,) array, indices of the columns that have a line, at least one
     crest : (K,) array, px, row of the highest value of each of those
+    stated_px : float, optional, px, full width at half height, where that is known
     """
+    if stated_px is not None:
+        return max(stated_px / FWHM, _NARROWEST_PX)
     reach = min(_REACH_PX, columns.shape[1] - 1)
-    profile = windows(columns, at, crest, reach).mean(axis=0)
+    width = _profile_width(windows(columns, at, crest, reach))
+    for _ in range(_TURNS):
+        near = int(np.ceil(2 * width))
+        seen = windows(columns, at, crest, near + int(np.ceil(3 * width))).astype(np.float32)
+        smoothed = np.asarray(cv2.GaussianBlur(seen, (0, 1), sigmaX=width))
+        middle = smoothed.shape[1] // 2
+        crest = crest - near + smoothed[:, middle - near : middle + near + 1].argmax(axis=1)
+        wider = _profile_width(windows(columns, at, crest, reach))
+        if wider < _WIDER * width:
+            break
+        width = wider
+    return width
+
+
+def _profile_width(seen: Floats) -> float:
+    """The same of windows (K, n) with the brightest pixels in the middle."""
+    profile, reach = seen.mean(axis=0), seen.shape[1] // 2
     half = (profile[reach] + profile.min()) / 2
     fwhm = _reach(profile[reach:], half) + _reach(profile[reach::-1], half)
     return max(fwhm / FWHM, _NARROWEST_PX)
@@ -499,6 +555,8 @@ def neighbours(piece: Ints, steps: Ints) -> tuple[Ints, Mask]:
 GROUND_PX = 61
 """What is wider than this, along the column, is ground: four FWHM of 6 px lines."""
 
+_HELD_WIDTHS = 2.5
+
 REACH_PX = 8
 """A spot is where the picture exceeds half of its highest value so near by."""
 
@@ -537,7 +595,11 @@ class Relief:
 
 
 def relief_of(
-    columns: GreyValues, ground_px: int = GROUND_PX, sharp: bool = False, rows: slice = slice(None)
+    columns: GreyValues,
+    ground_px: int = GROUND_PX,
+    sharp: bool = False,
+    rows: slice = slice(None),
+    width_px: float | None = None,
 ) -> Relief:
     """The columns with the ground beneath their lines.
 
@@ -547,8 +609,11 @@ def relief_of(
     ground_px : int, odd, px, what is wider along the column is ground
     sharp : bool, whether the ground is that of the columns as they are, not smoothed
     rows : slice, of the columns, which are wanted
+    width_px : float, optional, px, full width of the line, where it is stated: no ground is
+        narrower than two and a half times that, down to 1.3 % of a Gaussian's height
     """
-    single = columns.astype(np.float32)
+    ground_px = max(ground_px, 2 * int(_HELD_WIDTHS * (width_px or 0) / 2) + 1)
+    single = smoothed_by_width(columns, width_px).astype(np.float32, copy=False)
     blurred = cv2.GaussianBlur(single, (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX)
     smoothed = np.asarray(cv2.transpose(blurred), np.float32)
     opened = np.ascontiguousarray(single.T) if sharp else smoothed

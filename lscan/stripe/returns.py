@@ -29,6 +29,7 @@ from lscan.stripe.peaks import (
     relief_of,
     running_median,
     runs_of,
+    smoothed_by_width,
     spots_near,
     spots_of,
 )
@@ -343,13 +344,13 @@ def choose_return(
     less than 0.35 of another's light, in the columns they share, is a reflection, unless the
     two share so few that they are pieces of one line that takes a step.  Of those left,
     "first" takes the uppermost, "last" the lowest, "brightest" the run with the most light in
-    the shared columns, if it has 1.25 times that of the next: otherwise the columns are
-    ambiguous.  A blob by itself, no longer than high, is no line even where there is no
-    other, if the picture has a line ten times as long.  A line counts from ``threshold_dn``
-    above the ground near it.
+    the shared columns, if it has 1.25 times that of the next and that is not thrice as long:
+    otherwise the columns are ambiguous.  A blob by itself, no longer than high, is no line even
+    where there is no other, if the picture has a line ten times as long.  A line counts from
+    ``threshold_dn`` above the ground near it.
 
-    With "first" and "last" in a picture of two lines, a column that shows one of them alone is
-    given to the line that the run belongs to where both are seen, or that it lies nearer to;
+    With "first" and "last" in a picture of two lines or more, a spot in a column that lacks one of
+    them is given to the line that its run belongs to where all are seen, or that it lies nearer to;
     it is ambiguous where that is not clear.
 
     On a lit target (below), and where "first" or "last" would often be a speck, the runs are
@@ -375,6 +376,11 @@ def choose_return(
     doubtful = white and rivals >= _RIVALS * count
     if doubtful or specked or is_textured(columns, crest, spots, run, settings):
         return _line_in_texture(columns, spots, settings, clipped)
+    stated_px = settings.line_width_px
+    smoothed = smoothed_by_width(columns, stated_px)
+    if smoothed is not columns:
+        spots = spots_of(relief_of(columns, width_px=stated_px), settings.threshold_dn)
+        run, crest = runs_of(spots), crests(smoothed)
     choice = _choose(spots, run, _isolated_spots(spots, run), settings)
     if not choice.rejected.any():
         return OneReturn(image, crest, clipped, choice.ambiguous(count))
@@ -383,11 +389,10 @@ def choose_return(
     here = np.flatnonzero(np.isin(spots.column, at))
     there = replace(select(spots, here), column=np.searchsorted(at, spots.column[here]))
     over = footprint(there, choice.rejected[here], (len(at), columns.shape[1]))
-    painted[at] = np.where(
-        over, np.minimum(columns[at], relief_of(columns[at]).ground), columns[at]
-    )
+    ground = relief_of(columns[at], width_px=stated_px).ground
+    painted[at] = np.where(over, np.minimum(columns[at], ground), columns[at])
     lost[at] &= ~over
-    crest[at] = crests(painted[at])
+    crest[at] = crests(smoothed_by_width(painted[at], stated_px))
     return OneReturn(painted.T, crest, lost.T, choice.ambiguous(count))
 
 
@@ -401,7 +406,7 @@ def _line_in_texture(
     """
     count, threshold_dn = len(columns), settings.threshold_dn
     width_px = settings.line_width_px or line_width_px(seen)
-    relief = relief_of(columns, ground_px(width_px), sharp=True)
+    relief = relief_of(columns, ground_px(width_px), sharp=True, width_px=settings.line_width_px)
     spots = spots_of(relief, threshold_dn)
     path = paths_of(spots, columns.shape, width_px)
     kept = path >= 0
@@ -409,7 +414,8 @@ def _line_in_texture(
     run = np.unique(path[kept], return_inverse=True)[1]
     choice = _choose(lines, run, np.zeros(len(run), dtype=bool), settings)
     kept[kept] = ~choice.rejected
-    even = np.ptp(relief_of(columns).ground, axis=1) <= threshold_dn / 2
+    ground = relief_of(columns, width_px=settings.line_width_px).ground
+    even = np.ptp(ground, axis=1) <= threshold_dn / 2
     left = np.bincount(spots.column[kept], minlength=count)
     even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
     flat, near = flatten(relief, spots, kept, threshold_dn)
@@ -417,7 +423,7 @@ def _line_in_texture(
     image = np.where(even[:, None], columns, flat)
     return OneReturn(
         image=image.T,
-        crest=crests(image),
+        crest=crests(smoothed_by_width(image, settings.line_width_px)),
         clipped=(np.ascontiguousarray(clipped.T) & near).T,
         ambiguous=choice.ambiguous(count),
         textured=True,
@@ -510,15 +516,21 @@ def _choose(spots: Spots, run: Ints, rejected: Mask, settings: StripeSection) ->
 def _told_apart(
     spots: Spots, run: Ints, rejected: Mask, yielding: Mask, first: bool
 ) -> tuple[Mask, Mask]:
-    """(K,) spots alone in their column that are of the other line, and those that may be.
+    """(K,) spots in columns that lack a line that are of another one, and those that may be.
+
+    A picture has as many lines as are seen together in a quarter of its columns.
 
     yielding: (K,) spots that yielded to the line meant, which is the first or the last.
     """
     none = np.zeros(len(run), dtype=bool)
-    both = np.isin(spots.column, spots.column[yielding])
-    if len(np.unique(spots.column[both])) <= _SECOND_LINE * len(np.unique(spots.column)):
+    shown = np.bincount(spots.column, ~rejected | yielding)
+    columns = len(np.unique(spots.column))
+    lines = np.sort(shown)[::-1][int(_SECOND_LINE * columns)] if columns else 0
+    if lines < 2:
         return none, none
+    both = shown[spots.column] >= lines
     meant = both & ~rejected
+    yielding = both & yielding
     won, lost = np.bincount(run, meant), np.bincount(run, yielding)
     known = won + lost > 0
     share = np.divide(won, won + lost, out=np.full(len(won), 0.5), where=known)
@@ -573,7 +585,10 @@ def _rejected_spots(
     weaker = ~np.roll(speck, len(first)) & by_light & (own < _WEAKER * other)
     faint[spot[speck | weaker]] = True
     if settings.returns == "brightest":
-        yields = other >= _CLEARLY * own
+        # What is short and no brighter than a reflection is weaker may be one: the long line that
+        # goes on beneath it does not yield.
+        goes_on = (length[a] > _LONGER * length[b]) & (own >= _WEAKER * other)
+        yields = (other >= _CLEARLY * own) & ~goes_on
     else:
         yields = np.repeat([settings.returns == "last", settings.returns == "first"], len(first))
     yielding[spot[yields & ~faint[spot] & ~faint[rival]]] = True

@@ -71,7 +71,7 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     if len(lit) == 0:
         return stripe
     crest = crests(columns)[lit]
-    width = line_width(columns, lit, crest)
+    width = line_width(columns, lit, crest, settings.line_width_px)
     scale = max(width, _FINEST_PX)
     room = 2 * int(np.ceil(_REACH * scale)) + 4  # for the kernels beyond the line
     rows = slice(max(int(crest.min()) - room, 0), int(crest.max()) + room + 1)

@@ -23,6 +23,8 @@ from lscan.stripe.peaks import (
     Peaks,
     batch_by_kind,
     nominal_peaks,
+    smoothed_by_width,
+    smoothing_px,
     split_stripe,
     stripe_at,
     windows_beside,
@@ -165,6 +167,8 @@ def _line_light(seen: Survey, light: Floats) -> LineLight:
 # and the centre too where the window hardly sees beyond them.
 
 
+_FARTHEST_PX = 30  # from a line's crest, of pixels that might be it
+
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
 and the derivative (K, n) of that offset by each grey value, in px/DN."""
@@ -209,7 +213,8 @@ def _alike(
     wide_crest = flat > settings.span_px
     offset[wide_crest], slope[wide_crest] = (middle - peaks.rows)[wide_crest], 0.0
     variance_px = (slope**2 * variance).sum(axis=1)
-    variance_px += _choice_variance(wide, offset, variance, centring)
+    spread = _peak_spread(columns, peaks, variance[:, settings.span_px], settings)
+    variance_px += _choice_variance(wide, offset, spread, centring)
     if guesses_background:
         variance_px += _background_variance(light, offset)
     variance_px[wide_crest] = 1 / 12  # of a pixel at either end; extract_stripe adds the rest
@@ -318,27 +323,47 @@ def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask)
     return _centroid_relative([(image, settings, clipped)])[0]
 
 
-def _choice_variance(wide: Floats, offset: Floats, variance: Floats, centring: Centring) -> Floats:
+def _peak_spread(
+    columns: Sequence[GreyValues], peaks: Peaks, variance: Floats, settings: StripeSection
+) -> Floats:
+    """Variance in px² (K,) of the pixels that might have been the nominal peak as well.
+
+    Those of the line that are within two standard deviations of it, each a pixel wide: n that are
+    together have n² / 12, a uniform distribution's.
+
+    variance: (K,) of the peak's grey value, DN².  In a smoothed column (peaks.py) it is that of
+    the mean of as many pixels as a Gaussian kernel amounts to, 2 sqrt(pi) times its width.
+    """
+    width_px = settings.line_width_px
+    averaged = max(2 * np.sqrt(np.pi) * smoothing_px(width_px), 1.0)
+    reach = max(_FARTHEST_PX, settings.span_px)
+    smoothed = [smoothed_by_width(one, width_px) for one in columns]
+    grey = windows_beside(smoothed, peaks.columns, peaks.rows, reach)
+    least = grey[:, reach] - 2 * np.sqrt(variance / averaged)
+    near, steps = grey >= least[:, None], np.arange(-reach, reach + 1)
+    count = np.count_nonzero(near, axis=1)
+    spread: Floats = near @ steps**2 / count - (near @ steps / count) ** 2 + 1 / 12
+    return spread
+
+
+def _choice_variance(wide: Floats, offset: Floats, spread: Floats, centring: Centring) -> Floats:
     """Variance in px² (K,) that comes from the choice of the nominal peak.
 
     The paper notes that the result is sensitive to this choice.  It is measured: by how much
     the centre would move with the brighter neighbour as nominal peak (a whole pixel at
-    most), times the number of pixels within two standard deviations of the peak, which might
-    have been chosen as well.  That is the width of a uniform distribution.  For ``maximum``
-    and a clear peak it is the width of a pixel; for a centroid whose window holds the whole
-    line it vanishes; between them it accounts for the tails that the window cuts off.
+    most), for each pixel of ``spread``.  For ``maximum`` and a clear peak that is a uniform
+    distribution as wide as a pixel; for a centroid whose window holds the whole line it vanishes;
+    between them it accounts for the tails that the window cuts off.
 
-    wide: (K, n + 2) windows with one more pixel on either side.  variance: (K, n) in DN².
+    wide: (K, n + 2) windows with one more pixel on either side.  spread: (K,) px².
     """
     middle = wide.shape[1] // 2
     below = wide[:, middle + 1] >= wide[:, middle - 1]
     neighbour = np.where(below[:, None], wide[:, 2:], wide[:, :-2])
     moved = np.where(below, 1.0, -1.0) + centring(neighbour)[0]
     step = np.fmin(np.abs(moved - offset), 1.0)  # a whole pixel too where it is NaN
-    near = wide[:, [middle]] - 2 * np.sqrt(variance[:, [middle - 1]])
-    candidates = (wide[:, 1:-1] >= near).sum(axis=1)
-    width: Floats = candidates * step
-    return width**2 / 12
+    variance: Floats = step**2 * spread
+    return variance
 
 
 def _background_variance(light: Floats, offset: Floats) -> Floats:

@@ -8,8 +8,8 @@ from stripe_pictures import centres_of, light_of, noisy, nothing_clipped
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe
 from lscan.stripe import extract_stripe, find_extractor
-from lscan.stripe.extract import excess, shared_columns
 from lscan.stripe.peaks import crests, pieces
+from lscan.stripe.scatter import excess, light_moments
 from tests.validation.surfaces.relief import camera_picture
 
 COLUMNS = 640
@@ -28,7 +28,8 @@ def excess_of(centre, lag=1):
 
 
 def shared_of(centre, light):
-    return shared_columns([(stripe_of(centre), light, crests(light))])[0]
+    stripe = stripe_of(centre)
+    return light_moments([(stripe, light, crests(light))])[0].shared_columns(stripe)
 
 
 def smooth_line():

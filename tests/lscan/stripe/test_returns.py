@@ -70,6 +70,29 @@ def test_first_and_last_go_by_place(returns, truth, amplitudes):
     assert not one.ambiguous.any()
 
 
+@pytest.mark.parametrize("ratio", [1.3, 2.0])
+def test_a_brighter_ghost_does_not_take_the_line_that_goes_on_beneath_it(ratio):
+    """Over an eighth of the columns; which of the two is real, nothing tells."""
+    ghost = (COLUMN >= 90) & (COLUMN < 115)
+    _, section, one = chosen(lines(90.0 * ratio * ghost, 90.0))
+    np.testing.assert_array_equal(one.ambiguous, ghost)
+    error, _ = error_of(one, section, LOWER)
+    assert (np.abs(error[~ghost]) < 2).all()
+
+
+@pytest.mark.parametrize(("returns", "truth"), [("first", UPPER), ("last", LOWER)])
+def test_of_three_lines_the_middle_one_is_taken_for_no_other(returns, truth):
+    """The line meant is not seen in 50 of 200 columns, in which the two others go on."""
+    gap = np.abs(COLUMN - 100) < 25
+    amplitudes = np.where(gap, 0.0, 100.0), np.full(WIDTH, 100.0)
+    light = lines(*(amplitudes if returns == "first" else amplitudes[::-1]))
+    light += drawn((UPPER + LOWER) / 2, 1.2, HEIGHT, 100.0)
+    _, section, one = chosen(light, returns)
+    error, stripe = error_of(one, section, truth)
+    assert (np.abs(error[~gap]) < 2).all()
+    assert np.isin(stripe.status[gap], [Status.NO_PEAK, Status.AMBIGUOUS]).all()
+
+
 @pytest.mark.parametrize("returns", ["first", "last"])
 def test_a_piece_half_way_between_two_lines_is_of_neither(returns):
     gap = np.abs(COLUMN - 100) < 20

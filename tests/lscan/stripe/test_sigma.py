@@ -5,10 +5,11 @@ import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 from lines_drawn import drawn
+from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from lscan.config.rig import NoiseSection, StripeSection
-from lscan.stripe import picture as noise, rules
+from lscan.stripe import extract_stripe, picture as noise, rules
 
 HEIGHT, WIDTH = 480, 640
 
@@ -190,3 +191,22 @@ def test_line_variance_needs_neighbouring_columns():
     assert noise.line_variance_per_dn(light, np.arange(40), constant=0.1) > 0
     dark = light - 2 * np.median(light)  # as where a brighter background was taken off
     assert noise.line_variance_per_dn(dark, np.arange(40), constant=0.1) == 0
+
+
+@pytest.mark.parametrize("slope", [-2.0, 1.0])
+@pytest.mark.parametrize("name", ["centroid-relative", "ml", "steger"])
+def test_sigma_covers_what_blur_does_to_the_end_of_a_sloping_line(name: str, slope: float) -> None:
+    """The last columns hold the last lit column's light, at its height: off by slope times them."""
+    fine, blur_px = 4, 0.8
+    place = (np.arange(300 * fine) + 0.5) / fine - 0.5
+    row, column = place[:, None], place[: 160 * fine]
+    centre = 150 + slope * (column - 80)
+    light = (column <= 110.6) * np.exp(-((row - centre) ** 2) / (1 + slope**2))
+    seen = gaussian_filter(light, blur_px * fine).reshape(300, fine, 160, fine).mean(axis=(1, 3))
+    noise = np.random.default_rng(1).normal(8, 1, seen.shape)
+    image = np.rint(160 * seen / seen.max() + noise).astype(np.uint8)
+    stripe = extract_stripe(image, StripeSection(extractor=name, threshold_dn=20.0))
+    pull = np.abs(stripe.centre_px - 150 - slope * (np.arange(160) - 80)) / stripe.sigma_px
+    assert np.isfinite(pull[20:111]).all()
+    assert pull[105:][np.isfinite(pull[105:])].max() < 3
+    assert np.median(stripe.sigma_px[40:90]) < 0.2

@@ -1,0 +1,351 @@
+"""How far a line's centres scatter, as the line itself shows it from column to column.
+
+A model of the noise (picture.py) gives every pixel an error of its own.  In the pictures of most
+cameras that does not hold: colours are filled in from neighbours, edges sharpened, blocks of
+pixels compressed together, and the target's texture shifts the light of many columns alike.
+Errors that pixels share average out less, and a noise estimated from how neighbouring pixels
+differ is too small.
+
+What the centres do is seen without a model.  Third differences along the line,
+c[i] - 3 c[i+h] + 3 c[i+2h] - c[i+3h], vanish on any parabola, and hold 20 times the variance of
+errors that are independent h columns apart.  So h must reach as far as columns share errors;
+the shorter it is, the less of the target's relief is taken for scatter.  How far that is, the
+line's *width* tells: it has the errors of the same pixels, and hardly any of the relief.
+Where its third differences are the same at every h, each column has errors of its own, h is 1,
+and of relief nothing is left but what is rough from one column to the next.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import compress
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lscan.config.rig import NoiseSection, StripeSection
+from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
+from lscan.stripe import peaks
+from lscan.stripe.picture import robust_variance, stated_noise
+
+_Number = TypeVar("_Number", bound=np.number)
+
+_REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2
+"""By how much the variance of a mean square of third differences exceeds that of as many
+independent values: the sum of their squared autocorrelations, 1, -15/20, 6/20 and -1/20."""
+
+_LAGS = (1, 2, 4, 8, 16)  # columns; a block of JPEG has 8, of its subsampled colours 16
+_SETTLED = 1.25  # ratio of the variances at a lag and the one before that is no growth
+_BEYOND_CHANCE = 4.0  # standard deviations
+_FEWEST_DIFFERENCES = 32  # third differences
+_WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
+_SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
+_FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
+_INSIDE, _FEWEST_INSIDE = slice(4, 12), 4  # columns from an end, beyond which it is not blurred
+_STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
+
+
+SeenLine = tuple[Stripe, GreyValues, Ints]
+"""A stripe, px, of N entries; the light (N, L) in DN, row i being the column (or row) of the
+picture that entry i of the stripe was found in; and (N,), px, where each of those is the highest.
+"""
+
+
+def at_least_seen(
+    seen: Sequence[SeenLine], settings: StripeSection, smooths: bool = False
+) -> list[Stripe]:
+    """The stripes with sigma_px enlarged to what their centres scatter about their neighbours.
+
+    Near the ends of a sloping line it also grows by what a blur that is not stated may do.
+
+    One factor for the columns that are OK and one for those SATURATED, never below 1.
+
+    Where the settings state the noise there is one factor for all: by how much the light's own
+    first moment, weighted with a Gaussian of the line's width, scatters more than that noise makes
+    it.  That judges the noise which is stated, and not what an extractor makes of it; it is no more
+    than what the centres scatter beyond sigma_px.
+
+    Parameters
+    ----------
+    seen : sequence of SeenLine, of one picture each
+    settings : StripeSection, the line's width and the noise, as stated for these pictures
+    smooths : bool, whether the centres' own scatter tells little, the extractor smoothing along
+        the line
+    """
+    enough = [np.count_nonzero(has_value(one.status)) >= _FEWEST_DIFFERENCES for one, *_ in seen]
+    chosen = list(compress(seen, enough))
+    widened = []
+    for one, of in zip(chosen, light_moments(chosen, settings.line_width_px), strict=True):
+        if settings.noise is None:
+            stripe = _widen_sigma(one[0], of)
+        else:
+            stripe = _widen_beyond_stated(one, of, settings.noise, smooths)
+        if settings.blur_px is None:
+            sigma_px = np.hypot(stripe.sigma_px, _end_doubt(stripe, of))
+            stripe = replace(stripe, sigma_px=sigma_px)
+        widened.append(stripe)
+    found = iter(widened)
+    return [next(found) if many else one[0] for one, many in zip(seen, enough, strict=True)]
+
+
+def _end_doubt(stripe: Stripe, light: "LightMoments") -> Floats:
+    """(N,) px, standard uncertainty of centres near an end for what blur may have moved them.
+
+    By s² v' F'/F (corrections.py), of a blur s that is not known: it lies between none and the
+    line's own width, and the shift anywhere between 0 and that (a rectangular distribution about
+    0, GUM 4.3.7).  The fall of the light F is that from the next column towards the inside, or
+    between both neighbours where that is more; the slope v' is the one farther inside, for at the
+    end all light is that of the last column.
+    """
+    doubt, run = np.zeros(len(stripe.status)), light.pieces(stripe)
+    for piece in range(run.max() + 1):
+        columns = np.flatnonzero(run == piece)
+        for end in (columns, columns[::-1]):
+            inner = end[_INSIDE]
+            if len(inner) < _FEWEST_INSIDE or end[0] in (0, len(run) - 1):
+                continue
+            slope = (stripe.centre_px[inner[-1]] - stripe.centre_px[inner[0]]) / (len(inner) - 1)
+            width = light.scale_px**2 * np.median(light.squared[inner])
+            near = end[: _INSIDE.stop]
+            fall = np.maximum(np.diff(np.log(light.flux[near])), 0.0)
+            fall[1:] = np.maximum(fall[1:], (fall[:-1] + fall[1:]) / 2)
+            doubt[near[:-1]] = np.hypot(doubt[near[:-1]], abs(slope) * width * fall / np.sqrt(3))
+    return np.nan_to_num(doubt)
+
+
+def _widen_sigma(stripe: Stripe, light: "LightMoments") -> Stripe:
+    """The stripe with sigma_px enlarged to its own scatter."""
+    run, lag, sigma_px = light.pieces(stripe), light.shared_columns(stripe), stripe.sigma_px.copy()
+    for status in (Status.OK, Status.SATURATED):
+        kept = stripe.status == status
+        if np.count_nonzero(kept) > _FEWEST_DIFFERENCES:
+            sigma_px[kept] *= excess(stripe, np.where(kept, run, -1), lag)
+    return replace(stripe, sigma_px=sigma_px)
+
+
+def _widen_beyond_stated(
+    seen: SeenLine, light: "LightMoments", noise: NoiseSection, smooths: bool
+) -> Stripe:
+    """The stripe with sigma_px enlarged where the light scatters more than its stated noise."""
+    stripe = seen[0]
+    run, lag = light.pieces(stripe), light.shared_columns(stripe)
+    middles = _weighted_middles(seen, light, noise)
+    factor = excess(middles, np.where(middles.status == Status.OK, run, -1), lag)
+    if factor > 1 and not smooths:
+        factor = min(factor, excess(stripe, run, lag))
+    return replace(stripe, sigma_px=factor * stripe.sigma_px)
+
+
+def _weighted_middles(seen: SeenLine, light: "LightMoments", noise: NoiseSection) -> Stripe:
+    """The stripe whose centres are the light's middles; sigma by the noise stated.
+
+    The middle m solves sum of w (x - m) I = 0 with weights w(x - m), so that a pixel moves it by
+    w (x - m) over the sum of w I (1 - (x - m)² / s²).
+    """
+    stripe, lines, _ = seen
+    scale, near = light.scale_px, light.scale_px + 1
+    apart = light.middle - stripe.centre_px
+    at = np.flatnonzero((stripe.status == Status.OK) & (np.abs(apart) < near))
+    row = np.rint(light.middle[at]).astype(int)
+    reach = int(np.ceil(3 * scale)) + 2
+    grey = peaks.windows(lines, at, row, reach)
+    line = grey - grey[:, [0, 1, -2, -1]].mean(axis=1, keepdims=True)
+    off = np.arange(-reach, reach + 1) - (light.middle[at] - row)[:, None]
+    weight = np.exp(-0.5 * (off / scale) ** 2)
+    by_pixel = weight * off
+    by_pixel /= (weight * line * (1 - (off / scale) ** 2)).sum(axis=1)[:, None]
+    variance = stated_noise(noise, 0.0).variance(np.maximum(grey, 0.0))
+    # Speckle is the laser's: the ground has none.
+    variance += noise.speckle**2 * (np.maximum(line, 0.0) ** 2 - np.maximum(grey, 0.0) ** 2)
+    sigma = np.sqrt((by_pixel**2 * variance).sum(axis=1))
+    status = np.full(len(stripe.status), int(Status.NO_PEAK))
+    sigma_px = np.full(len(status), np.nan)
+    status[at[np.isfinite(sigma) & (sigma > 0)]], sigma_px[at] = Status.OK, sigma
+    return replace(stripe, centre_px=light.middle, sigma_px=sigma_px, status=status)
+
+
+def excess(stripe: Stripe, run: Ints, lag: int) -> float:
+    """Scatter of the centres over the one that sigma_px states, at least 1.
+
+    The largest that is seen at the lag or a shorter one: of errors that columns share, short
+    lags see less.  At a lag of 1 the noise may be as stated, and an excess within chance, four
+    standard deviations of it, counts as none.
+
+    Parameters
+    ----------
+    stripe : Stripe, px, of N entries
+    run : (N,) array, number of the piece each entry belongs to (peaks.py), -1 for none
+    lag : int, columns, from which on the centres' errors are independent; lags are left out at
+        which the pieces hold fewer than 32 third differences, or less than eight stretches
+    """
+    chance, ratio = _BEYOND_CHANCE if lag == 1 else 0.0, 0.0
+    while lag >= 1:
+        at = _in_one_piece(run, lag)
+        count = np.count_nonzero(at)
+        if count >= max(_FEWEST_DIFFERENCES, _SPANS * lag):
+            first, second, third, last = _apart(stripe.sigma_px**2, lag)
+            stated = np.sqrt(first + last + 9 * (second + third))[at]
+            seen = _third_differences(stripe.centre_px, lag)[at]
+            ratio = max(ratio, robust_variance(seen / stated))
+            chance *= np.sqrt(2 * _REPEATED / count)
+        lag = 3 * lag // 4
+    return float(np.sqrt(ratio)) if ratio > 1 + chance else 1.0
+
+
+class LightMoments(NamedTuple):
+    """The light across a line of N columns, weighted with a Gaussian about as wide as the line.
+
+    Attributes
+    ----------
+    line_px : float, px, the line's standard deviation across
+    scale_px : float, px, that of the Gaussian
+    middle : (N,) array, px, first moment of the light; NaN where there is no line
+    squared : (N,) array, the light's variance over that of the Gaussian, likewise
+    flux : (N,) array, DN, the light
+    """
+
+    line_px: float
+    scale_px: float
+    middle: Floats
+    squared: Floats
+    flux: Floats
+
+    def pieces(self, stripe: Stripe) -> Ints:
+        """(N,) number of the piece each column belongs to (peaks.py), -1 for none.
+
+        By where the light's middle jumps: the scatter of a wide line's centres may be as large.
+
+        Parameters
+        ----------
+        stripe : Stripe, px, whose columns count where they have a value
+        """
+        return peaks.pieces(replace(stripe, centre_px=self.middle))
+
+    def shared_columns(self, stripe: Stripe) -> int:
+        """Columns along which the pixels share their errors, 1 where each has its own.
+
+        The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
+        no more.  Where that is beyond 1 it is at least three widths of the line, over which some
+        extractors smooth along it; it is 1 too where none grows by more than chance, four standard
+        deviations of it.
+
+        Parameters
+        ----------
+        stripe : Stripe, px, as of :meth:`pieces`
+        """
+        run = np.where(np.isfinite(self.squared), self.pieces(stripe), -1)
+        growths: list[float] = []
+        by_chance, last = True, np.inf
+        for lag in _LAGS:
+            values = _third_differences(self.squared, lag)[_in_one_piece(run, lag)]
+            if len(values) < _FEWEST_DIFFERENCES:
+                continue
+            scatter = robust_variance(values)
+            growths.append(scatter / max(last, np.finfo(float).tiny))
+            if len(growths) == 2 and growths[1] <= _SETTLED:
+                return 1
+            # Two variances are compared, each of as many values as the second has, or more.
+            by_chance &= growths[-1] <= 1 + _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))
+            last = scatter
+        if by_chance:
+            return 1
+        settled = int(np.append(np.array(growths[1:]) <= _SETTLED, True).argmax())
+        return max(_LAGS[settled], int(np.ceil(_WIDTHS * self.line_px)))
+
+
+def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> list[LightMoments]:
+    """The light's moments across the line in each of several pictures.
+
+    Through a Gaussian as wide as the line half of its displacement is seen, so each step to its
+    middle goes twice as far as the first moment says; and of its variance w² only
+    s² w² / (s² + w²), which is turned back.  Along a column a line of slope t is wider than across
+    itself by (1 + t²)^(1/2).
+
+    A weight about the middle m is that about 0 times exp(m k / s²) at the pixel k, but for a factor
+    that all have in common, and so for none: of the weights about 0 powers of a number are left.
+
+    Parameters
+    ----------
+    seen : sequence of SeenLine, of one picture each, in which some columns have a value
+    width_px : float, optional, px, full width of the line at half its height; found if left out
+    """
+    if not seen:
+        return []
+    valued = [np.flatnonzero(has_value(stripe.status)) for stripe, *_ in seen]
+    widths = [
+        peaks.line_width(light, at, crest[at], width_px)
+        for (_, light, crest), at in zip(seen, valued, strict=True)
+    ]
+    scales = [max(width, _FINEST_PX) for width in widths]
+    ends = np.cumsum([len(at) for at in valued])
+    centre = np.concatenate([one.centre_px[at] for (one, *_), at in zip(seen, valued, strict=True)])
+    row = np.rint(centre).astype(int)
+    reach = [int(np.ceil(3 * scale)) + 2 for scale in scales]
+    weighted = np.zeros((2 * max(reach) + 1, len(row)))  # (n, K): n is short
+    for (_, light, _), at, end, far, scale in zip(seen, valued, ends, reach, scales, strict=True):
+        part, beside = slice(end - len(at), end), max(reach) - far
+        grey = peaks.windows(light, at, row[part], far).T
+        weight = np.exp(-0.5 * (np.arange(-far, far + 1) / scale) ** 2)[:, None]
+        ground = grey[[0, 1, -2, -1]].mean(axis=0)
+        weighted[beside : len(weighted) - beside, part] = weight * (grey - ground)
+    spread = np.repeat(scales, [len(at) for at in valued])
+    middle = centre - row
+    for _ in range(_STEPS):
+        about = middle
+        zeroth, first, second = _moments(weighted, np.exp(about / spread**2))
+        total = np.where(zeroth > 0, zeroth, np.nan)
+        step = (first / total - about) / spread
+        middle = about + spread * np.clip(2 * step, -1.0, 1.0)
+    variance = ((second - 2 * about * first) / total + about**2) / spread**2
+    across, places = variance / np.where(variance < 1, 1 - variance, np.nan), row + middle
+    # With the factors that all weights have in common, the one of _moments too.
+    flux = total * np.exp(-about * (about / 2 + max(reach)) / spread**2)
+    found = []
+    for (stripe, *_), at, end, *scale in zip(seen, valued, ends, widths, scales, strict=True):
+        part, values = slice(end - len(at), end), np.full((3, len(stripe.status)), np.nan)
+        values[:, at] = places[part], across[part], flux[part]
+        line, squared, light = values
+        squared /= 1 + _slope(line, scale[-1]) ** 2
+        found.append(LightMoments(*scale, line, squared, light))
+    return found
+
+
+def _slope(line: Floats, scale_px: float) -> Floats:
+    """(N,) px a column, over half of the line's width to either side: scatter is no slope."""
+    reach, at = max(round(scale_px / 2), 1), np.arange(len(line))
+    before, after = np.maximum(at - reach, 0), np.minimum(at + reach, len(line) - 1)
+    slope: Floats = (line[after] - line[before]) / (after - before)
+    return slope
+
+
+def _moments(weighted: Floats, factor: Floats) -> Floats:
+    """(3, K) zeroth to second moments of ``weighted`` (n, K) times ``factor`` (K,) ** step.
+
+    All by one factor more, that of the pixels before the middle one.  Horner's scheme.
+    """
+    total, reach = np.zeros((3, len(factor))), len(weighted) // 2
+    for step in range(reach, -reach - 1, -1):
+        total *= factor
+        light = weighted[step + reach]
+        for moment in total:
+            moment += light
+            light = light * step
+    return total
+
+
+def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:
+    """Four times (Q,) values of (N,), each ``lag`` entries after the one before."""
+    count = max(len(values) - 3 * lag, 0)
+    return [values[k * lag : k * lag + count] for k in range(4)]
+
+
+def _in_one_piece(run: Ints, lag: int) -> Mask:
+    """(Q,) whether four entries ``lag`` apart are all of the same piece; -1 is none."""
+    first, second, third, last = _apart(run, lag)
+    return (first >= 0) & (first == second) & (first == third) & (first == last)
+
+
+def _third_differences(values: Floats, lag: int) -> Floats:
+    """(Q,) of values (N,), ``lag`` entries apart."""
+    first, second, third, last = _apart(values, lag)
+    return first - last + 3 * (third - second)
