@@ -26,6 +26,7 @@ from lscan.stripe.peaks import (
     FWHM,
     Peaks,
     all_windows,
+    clipped_middles,
     clipped_near,
     nominal_peaks,
     running_median,
@@ -190,6 +191,7 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
         noise = Noise(constant_variance(columns), 0.0)
     else:
         noise = stated_noise(settings.noise, float(np.median(peaks.base)))
+    peaks = replace(peaks, rows=clipped_middles(lost, peaks)[0].astype(int))
     rough = _rough_width(columns, peaks, noise.constant)
     if settings.line_width_px is not None:
         rough = np.full(len(rough), settings.line_width_px / FWHM)

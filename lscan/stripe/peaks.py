@@ -188,6 +188,26 @@ def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tu
     return stripe, Peaks(found, rows[found], base[found])
 
 
+def clipped_middles(clipped: Mask, peaks: Peaks) -> tuple[Floats, Ints]:
+    """(K,) px, the middles of the clipped pixels about the peaks, and how many there are.
+
+    The peak itself, and 0, where it is not clipped.
+
+    Parameters
+    ----------
+    clipped : (W, H) mask, one column of the picture a row
+    peaks : Peaks, of K of the columns
+    """
+    middles, count = peaks.rows.astype(float), np.zeros(len(peaks.rows), dtype=int)
+    at = np.flatnonzero(clipped[peaks.columns, peaks.rows])
+    dark, place = ~clipped[peaks.columns[at]], np.arange(clipped.shape[1])
+    rows = peaks.rows[at, None]
+    first = np.where(dark & (place < rows), place, -1).max(axis=1) + 1
+    last = np.where(dark & (place > rows), place, len(place)).min(axis=1) - 1
+    middles[at], count[at] = (first + last) / 2, last - first + 1
+    return middles, count
+
+
 def smoothing_px(width_px: float | None) -> float:
     """Standard deviation over which the columns of a wide line are smoothed: half the line's own.
 

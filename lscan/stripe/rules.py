@@ -22,6 +22,7 @@ from lscan.stripe.likelihood import Survey, survey
 from lscan.stripe.peaks import (
     Peaks,
     batch_by_kind,
+    clipped_middles,
     nominal_peaks,
     smoothed_by_width,
     smoothing_px,
@@ -199,7 +200,8 @@ def _alike(
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
         return split_stripe(stripe, len(pictures))
-    middle, flat = _clipped_middles([clipped for *_, clipped in pictures], peaks)
+    lost = np.concatenate([clipped.T for *_, clipped in pictures])
+    middle, flat = clipped_middles(lost, peaks)
     peaks = replace(peaks, rows=np.floor(middle).astype(int))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
     wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
@@ -223,22 +225,6 @@ def _alike(
     kept = np.abs(offset) <= settings.span_px
     found = stripe_at(stripe, peaks, offset, np.sqrt(variance_px), kept)
     return split_stripe(found, len(pictures))
-
-
-def _clipped_middles(clipped: Sequence[Mask], peaks: Peaks) -> tuple[Floats, Ints]:
-    """(K,) px, the middles of the clipped pixels about the peaks, and how many there are.
-
-    The peak itself, and 0, where it is not clipped.
-    """
-    middles, count = peaks.rows.astype(float), np.zeros(len(peaks.rows), dtype=int)
-    lines = np.concatenate([mask.T for mask in clipped])
-    at = np.flatnonzero(lines[peaks.columns, peaks.rows])
-    dark, place = ~lines[peaks.columns[at]], np.arange(lines.shape[1])
-    rows = peaks.rows[at, None]
-    first = np.where(dark & (place < rows), place, -1).max(axis=1) + 1
-    last = np.where(dark & (place > rows), place, len(place)).min(axis=1) - 1
-    middles[at], count[at] = (first + last) / 2, last - first + 1
-    return middles, count
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:
