@@ -9,6 +9,7 @@ from lscan.config.plugins import installed
 from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Floats, has_value
 from lscan.stripe import extract_stripe
+from lscan.stripe.peaks import FWHM
 from sim.sensor.noise import ColourFilter
 from tests.validation.exposures import band_miss_percent, share_inside
 from tests.validation.rows import Row, row
@@ -21,6 +22,8 @@ WIDTHS_PX = {MONO: (0.45, 0.7, 1.1, 2.0, 4.0), "RGGB": (1.1, 2.0, 4.0), "GBRG": 
 NOISE_DN = (0.9, 3.0)
 PER_DN = 0.017  # a full well of 15,000 electrons
 LIGHT_DN, DARK_DN = 150.0, 8.0
+EXPOSED_HEIGHT, EXPOSED_PX, TIMES, SPECKLES = 240, (1.0, 4.0, 10.0), (1.0, 4.0, 16.0), (0.0, 0.3)
+GLOW, GLOW_PX, GLOW_ASIDE_PX = 0.03, 40.0, 5.0
 LEAK = (1.0, 0.08, 0.03)  # of a red laser's light into each colour
 
 
@@ -48,6 +51,55 @@ def level_rows(quick: bool) -> list[Row]:
         figure = band_miss_percent(share)
         rows.append(row(key, figure, seed=0, percent=100 * share, **words))
     return rows
+
+
+def exposure_rows(quick: bool) -> list[Row]:
+    """The same of the mean where the line is overexposed, wide, speckled, or lies in its own glow.
+
+    Parameters
+    ----------
+    quick : bool, whether the default extractor at two places will do
+    """
+    names = (StripeSection().extractor,) if quick else installed("lscan.extractors")
+    rows = []
+    for name, glow in product(names, (0.0, GLOW)):
+        ratios = np.concatenate(
+            [
+                _exposed_ratios(name, width_px, times, speckle, glow, 2 if quick else 20)
+                for width_px, times, speckle in product(EXPOSED_PX, TIMES, SPECKLES)
+            ]
+        )
+        key = "exposed-intervals" if name == StripeSection().extractor and not glow else "exposed"
+        share = share_inside(ratios, np.ones_like(ratios)) if ratios.size else np.nan
+        words = {"extractor": name, "glow": 100 * glow, "lines": len(ratios)}
+        rows.append(row(key, band_miss_percent(share), seed=0, percent=100 * share, **words))
+    return rows
+
+
+def _exposed_ratios(
+    extractor: str, width_px: float, times: float, speckle: float, glow: float, places: int
+) -> Floats:
+    """(N,) errors of the mean over what independent columns would give it; glow: of the crest."""
+    settings = StripeSection(
+        extractor=extractor, channel="grey", threshold_dn=15.0, line_width_px=FWHM * width_px
+    )
+    found, rows = [], np.arange(EXPOSED_HEIGHT)[:, None]
+    for number in range(places):
+        rng = np.random.default_rng([number, round(10 * width_px), round(times)])
+        centre = EXPOSED_HEIGHT / 2 + number / places + SLOPE * (np.arange(WIDTH) - WIDTH / 2)
+        light = times * _line(centre, width_px, EXPOSED_HEIGHT)
+        if speckle:
+            light *= rng.gamma(speckle**-2, speckle**2, light.shape)
+        aside = (rows - centre - GLOW_ASIDE_PX) / GLOW_PX
+        light += glow * times * LIGHT_DN * np.exp(-0.5 * aside**2) + DARK_DN
+        picture = np.clip(np.rint(_with_noise(light, NOISE_DN[0], rng)), 0, 255).astype(np.uint8)
+        stripe = extract_stripe(picture, settings)
+        part = np.flatnonzero(has_value(stripe.status))
+        part = part[part % EVERY == 0]
+        if len(part) >= WIDTH / EVERY / 2:
+            error, sigma = (stripe.centre_px - centre)[part], stripe.sigma_px[part]
+            found.append(error.sum() / np.sqrt((sigma**2).sum()))
+    return np.array(found)
 
 
 def level_ratios(
@@ -91,10 +143,8 @@ def level_ratios(
 def _picture(
     centre: Floats, width_px: float, colours: str, noise_dn: float, rng: np.random.Generator
 ) -> Bytes:
-    """A red line on the dark, each pixel the integral of the light over it, as a camera has it."""
-    edges = np.arange(HEIGHT + 1)[:, None] - 0.5
-    line = np.diff(ndtr((edges - centre) / width_px), axis=0)
-    light = LIGHT_DN * width_px * np.sqrt(2 * np.pi) * line
+    """A red line on the dark, as a camera has it."""
+    light = _line(centre, width_px, HEIGHT)
     if colours == MONO:
         grey = _with_noise(light + DARK_DN, noise_dn, rng)
     else:
@@ -102,6 +152,13 @@ def _picture(
         mosaic = sensor.mosaic((light[..., None] * LEAK + DARK_DN).astype(np.float32))
         grey = sensor.demosaic(_with_noise(mosaic, noise_dn, rng).astype(np.float32))
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+
+
+def _line(centre: Floats, width_px: float, height: int) -> Floats:
+    """(height, W) DN, each pixel the integral of the light over it."""
+    edges = np.arange(height + 1)[:, None] - 0.5
+    line = np.diff(ndtr((edges - centre) / width_px), axis=0)
+    return np.asarray(LIGHT_DN * width_px * np.sqrt(2 * np.pi) * line)
 
 
 def _with_noise(light: Floats, noise_dn: float, rng: np.random.Generator) -> Floats:
