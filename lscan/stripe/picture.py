@@ -346,10 +346,6 @@ _PILED = 3.0
 smooth crest of a line that is not clipped they hold 1.3 times as many: the width of a parabola
 at the depth d below its top goes with the root of d."""
 
-_SOFT = 0.02
-"""Pixels above a plateau, of those in its most frequent value, from which on it is none: noise of
-0.4 DN leaves so many above a tie or more."""
-
 _FLAT_PX, _WIDEST_PLATEAU_PX = (
     3,
     41,
@@ -390,8 +386,8 @@ def clipping_level(lines: Bytes) -> int:
     piled = count[mode - 1 : mode + 2].sum() > _PILED * count[mode - 6 : mode - 2].sum()
     if not (piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode))):
         return CLIPPED_DN
-    # Crests that are equal but for their noise have as many values above as below.
-    if count[mode + 1 : top + 1].sum() > _SOFT * count[mode] and not is_coded(lines):
+    # Crests that are equal but for their noise go on above it.
+    if top > mode and not is_coded(lines):
         return CLIPPED_DN
     level = mode  # the plateau goes down to where a tenth of its pixels are left
     while level > mode - _SPREAD_DN // 2 and 10 * count[level - 1] >= count[mode]:
