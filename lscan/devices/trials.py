@@ -27,7 +27,7 @@ from lscan.devices.photontransfer import (
     photon_transfer,
 )
 from lscan.errors import DeviceError, InputError, MeasurementError
-from lscan.files.pictures import linear_picture
+from lscan.files.pictures import colour_shift_px, linear_picture
 from lscan.records import Bytes, Floats, Progress
 
 # How late a camera's pictures come: from a change in view to the picture that shows it.
@@ -364,6 +364,14 @@ def try_camera(
             "taken out of the noise, not out of the linearity; use a lamp on direct current, or an "
             "exposure of a multiple of 10 ms (mains of 50 Hz) or 8.33 ms (60 Hz)"
         )
+    image = camera.grab().image
+    for axis, line, along in (("rows", "upright", "a row"), ("columns", "level", "a column")):
+        if shift_px := colour_shift_px(image, channel, axis):
+            remarks.append(
+                f"colours: two pixels along {along} share theirs (YUYV and the like), so that an "
+                f"{line} line lies up to {shift_px:.2f} px aside in {channel}, 0.5 in "
+                f'{channel}-excess, which its sigma holds; [stripe] channel = "grey" is free of it'
+            )
     straight = None
     if isinstance(camera, ExposureControl) and camera.can_set_exposure:
         more, exposures_ms, means_dn = _exposure_series(camera, pictures, channel, gamma)

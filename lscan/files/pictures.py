@@ -17,7 +17,7 @@ from PIL import ExifTags, Image
 
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes, write_atomically
-from lscan.records import Bytes
+from lscan.records import Axis, Bytes
 
 # How large the picture in a file is, read from its header before anything is decoded.
 #
@@ -407,3 +407,46 @@ def linear_dn(gamma: float | Literal["srgb"]) -> Bytes:
     else:
         share = share**gamma
     return np.rint(255 * share).astype(np.uint8)
+
+
+# Colours of half the resolution.
+
+
+_LUMA = {"red": 0.299, "green": 0.587, "blue": 0.114}
+_HALVED = 8, 0.25  # every so many pixels along the line; steps within pairs, of those between them
+
+
+def colour_shift_px(picture: Bytes, channel: str, axis: Axis) -> float:
+    """How far, at most, colours of half the resolution move a line that is read in one, across it.
+
+    Coded as YUYV, NV12 and their like, two pixels share their colour, which is that of the first,
+    of the second, or their mean: the colour lies half a pixel aside of the luma, or not, and the
+    line of one colour by the part of it that is no luma.  0 where neighbours have colours of their
+    own, which those of a JPEG picture have again once they are interpolated.
+
+    Parameters
+    ----------
+    picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    channel : str, as ``stripe.channel``
+    axis : str, "columns" or "rows", as ``stripe.axis``
+
+    References
+    ----------
+    Luma: ITU-R BT.601.  Where colours lie: C. Poynton, Digital Video and HD, 2nd ed. (2012),
+    "Introduction to luma and chroma".
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> pairs = np.random.default_rng(1).integers(0, 99, (80, 40, 3), np.uint8).repeat(2, axis=1)
+    >>> colour_shift_px(pairs, "red-excess", "rows"), colour_shift_px(pairs, "grey", "rows")
+    (0.5, 0.0)
+    """
+    if picture.ndim == 2 or channel == "grey":
+        return 0.0
+    every, most = _HALVED
+    across = picture[::every] if axis == "rows" else picture[:, ::every].transpose(1, 0, 2)
+    steps = np.abs(np.diff(across[..., 0].astype(np.int16) - across[..., 2], axis=1))
+    within, between = sorted((steps[:, ::2].sum(), steps[:, 1::2].sum()))
+    luma = _LUMA.get(channel, 0.0)  # in an excess of one colour over others there is none
+    return (1 - luma) / 2 if within < most * between else 0.0

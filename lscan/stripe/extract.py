@@ -162,7 +162,10 @@ def _complete_stripes(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stri
     stripes = at_least_seen(each, settings, smooths_along(find_extractor(settings.extractor)))
     for place, light in enumerate(lights):
         stripe = correct_blur(stripes[place], settings, light)
-        stripes[place] = smooth(stripe, settings.smooth_px)
+        stripe = smooth(stripe, settings.smooth_px)
+        # Anywhere up to that on either side: a rectangular distribution (GUM 4.3.7).
+        aside_px = found_in[place].light.shift_px / np.sqrt(3)
+        stripes[place] = replace(stripe, sigma_px=np.hypot(stripe.sigma_px, aside_px))
     whole = peaks.join_stripes(stripes)
     return peaks.split_stripe(replace(whole, flux=peaks.core_flux(whole, *lights)), len(found))
 
@@ -191,12 +194,13 @@ def _light(
         settings = settings.model_copy(update={"span_px": span_px})
     lit = taken = lines_of(image, settings.channel, settings.axis, where="image")
     if settings.gamma != 1:
-        # Coding and the end of the range show in the grey values as the camera gave them.
+        # Coding, half colours and the range's end show in the grey values as the camera gave them.
         image, end = (
             linear_picture(image, settings.gamma),
             linear_dn(settings.gamma)[lit.clipping_dn],
         )
         lit = lines_of(image, settings.channel, settings.axis, "image", int(end))
+        lit = replace(lit, shift_px=taken.shift_px)
     if settings.channel == "auto" and lit.others is not None:
         coloured = lit.grey if lit.white is None else np.where(lit.white, 0, lit.grey)
         threshold_dn = min(settings.threshold_dn, faint_threshold(coloured))

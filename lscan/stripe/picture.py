@@ -10,6 +10,7 @@ from scipy.optimize import nnls
 
 from lscan.config.rig import LineChannel, NoiseSection
 from lscan.errors import InputError
+from lscan.files.pictures import colour_shift_px
 from lscan.records import Axis, Bytes, Floats, GreyValues, Ints, Mask
 
 # The noise of a picture: as the rig file states it, or estimated from that picture alone.
@@ -360,7 +361,9 @@ def clipping_level(lines: Bytes) -> int:
 
     A camera whose range ends below 255 DN, as gain and coding can make it, shows a plateau: many
     pixels have nearly the same highest value, few have values a little less, and the crest of
-    a line is flat over several pixels, or its flanks rise as if to a higher crest.
+    a line is flat over several pixels, or its flanks rise as if to a higher crest.  But for what
+    lossy coding spreads, the values end there: those of a level line between two rows of a colour
+    filter, whose highest pixels are equal, do not.
 
     Parameters
     ----------
@@ -383,6 +386,9 @@ def clipping_level(lines: Bytes) -> int:
     mode = top - _SPREAD_DN + int(count[top - _SPREAD_DN : top + 1].argmax())
     piled = count[mode - 1 : mode + 2].sum() > _PILED * count[mode - 6 : mode - 2].sum()
     if not (piled and (_has_flat_crests(lines, mode) or _has_cut_crests(lines, mode))):
+        return CLIPPED_DN
+    # Crests that are equal but for their noise go on above it.
+    if top > mode and not is_coded(lines):
         return CLIPPED_DN
     level = mode  # the plateau goes down to where a tenth of its pixels are left
     while level > mode - _SPREAD_DN // 2 and 10 * count[level - 1] >= count[mode]:
@@ -461,6 +467,7 @@ class PictureLines:
     white : (N, L) mask or None, of the crests in which the excess is made up from the other colours
     others : (N, L) array or None, DN, what was taken off: for the excess of a colour the brighter
         of the other two, or the one that a mixed colour lacks; else the background picture
+    shift_px : float, px, how far the line may lie aside, as ``colour_shift_px`` says
     """
 
     channel: LineChannel
@@ -469,6 +476,7 @@ class PictureLines:
     clipping_dn: int
     white: Mask | None = None
     others: GreyValues | None = None
+    shift_px: float = 0.0
 
 
 def lines_of(
@@ -515,12 +523,12 @@ def lines_of(
     frame = frame_px(brightest)
     grey, brightest = without_frame(grey, frame), without_frame(brightest, frame)
     level = clipping_level(brightest) if clipping_dn is None else clipping_dn
-    clipped = brightest >= level
+    clipped, shift_px = brightest >= level, colour_shift_px(picture, channel, axis)
     if picture.ndim == 2 or channel not in _EXCESSES:
-        return PictureLines(channel, grey, clipped, level)
+        return PictureLines(channel, grey, clipped, level, shift_px=shift_px)
     others, least = (without_frame(one, frame) for one in _others(picture, channel, axis))
     excess, white = _excess(grey, others, least, level)
-    return PictureLines(channel, excess, clipped | white, level, white, others)
+    return PictureLines(channel, excess, clipped | white, level, white, others, shift_px)
 
 
 def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:

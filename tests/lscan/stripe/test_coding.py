@@ -1,9 +1,16 @@
-"""Pictures that were compressed in blocks are known as such, and others never are."""
+"""Pictures that were compressed in blocks are known as such, and others never are; half colours."""
 
+from itertools import count
+from types import SimpleNamespace
+
+import cv2
 import numpy as np
 import pytest
 from stripe_pictures import centres_of, light_of, noisy, settings_for
 
+from lscan.config.rig import StripeSection
+from lscan.devices.api import Grab
+from lscan.devices.trials import try_camera
 from lscan.stripe import extract_stripe
 from lscan.stripe.extract import extract_stripes
 from lscan.stripe.picture import is_coded
@@ -84,3 +91,33 @@ def test_a_line_in_a_coded_picture_is_where_it_is_within_its_sigma():
         ratios.append((stripe.centre_px - centre) / stripe.sigma_px)
     # Within a quarter, as sigma holds elsewhere; robust, for columns share the errors of a block.
     assert 0.8 < 1.4826 * np.nanmedian(np.abs(ratios)) < 1.25
+
+
+def as_yuyv(picture: np.ndarray, first: bool) -> np.ndarray:
+    """The picture as a camera's YUYV gives it back: pairs have the first's colour, or the mean."""
+    yuv = cv2.cvtColor(picture, cv2.COLOR_RGB2YUV).astype(float)
+    pairs = yuv.reshape(len(yuv), -1, 2, 3)
+    pairs[..., 1:] = pairs[:, :, :1, 1:] if first else pairs[..., 1:].mean(axis=2, keepdims=True)
+    return cv2.cvtColor(np.rint(yuv).clip(0, 255).astype(np.uint8), cv2.COLOR_YUV2RGB)
+
+
+@pytest.mark.parametrize(
+    ("channel", "shift_px", "first"), [("red", 0.35, False), ("red-excess", 0.5, True)]
+)
+def test_sigma_holds_the_shift_of_half_colours_and_the_trial_says_it(channel, shift_px, first):
+    """An upright red line in the mean of its rows; one that lies along the pairs has no shift."""
+    held = []
+    for seed in range(2):
+        centre, picture = picture_of(seed)
+        image = as_yuyv(picture.transpose(1, 0, 2), first)
+        chosen = StripeSection(axis="rows", channel=channel, extractor="ml", threshold_dn=20.0)
+        stripe = extract_stripe(image, chosen)
+        held.append(np.abs(stripe.centre_px - centre) <= 1.96 * stripe.sigma_px)
+        level = extract_stripe(
+            as_yuyv(picture, first), chosen.model_copy(update={"axis": "columns"})
+        )
+        assert np.nanmedian(level.sigma_px) < shift_px / np.sqrt(3) < np.nanmedian(stripe.sigma_px)
+    assert np.mean(held) >= 0.92
+    grabs = (Grab(np.roll(image, turn, axis=0), float(turn), 1.0) for turn in count())
+    said = try_camera(SimpleNamespace(grab=lambda: next(grabs)), 4, "red").remarks
+    assert sum("two pixels along a row share" in remark for remark in said) == 1

@@ -410,6 +410,16 @@ def test_a_line_within_the_range_shows_no_plateau(peak, seed, width_px, noisy):
     assert clipping_level(image.T) == 255
 
 
+@pytest.mark.parametrize("width_px", [0.7, 1.0, 1.5])
+@pytest.mark.parametrize("noise_dn", [0.5, 1.0, 3.0])
+def test_a_level_line_between_two_rows_of_a_mosaic_is_not_clipped(width_px, noise_dn):
+    """Its two highest red rows are equal, and so is the one between them, filled in from both."""
+    light = drawn(np.full(WIDTH, 61.0), width_px, HEIGHT, 184.0)
+    noisy = light + np.random.default_rng(2).normal(8, noise_dn, light.shape)
+    image = cv2.cvtColor(np.rint(noisy).clip(0, 255).astype(np.uint8), cv2.COLOR_BayerRGGB2RGB)
+    assert (extract_stripe(image, StripeSection(threshold_dn=20.0)).status == Status.OK).all()
+
+
 def test_a_dark_picture_and_one_that_is_clipped_at_the_end_keep_the_end():
     rng = np.random.default_rng(5)
     dark = rng.normal(4, 1.5, (HEIGHT, WIDTH)).clip(0).astype(np.uint8)
