@@ -11,6 +11,7 @@ from pydantic import Field
 
 from lscan.calibration.fields import STRICT, Count, NotNegative
 from lscan.calibration.maps.polynomial import box, terms
+from lscan.calibration.maps.spline import with_form_error
 from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
 from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, find_solver
 from lscan.camera.resection import MEDIAN, pixel_derivatives
@@ -256,7 +257,7 @@ def calibrate(
     """
     known, sound = optics or NOTHING_KNOWN, without_outliers(reading)
     solved = find_solver(map_name).solve(sound.reading, known)
-    return calibration_by(map_name, solved, sound, known)
+    return calibration_by(map_name, with_form_error(solved, sound.reading), sound, known)
 
 
 def calibration_by(
@@ -430,13 +431,14 @@ def try_maps(
     if folds < 2:
         raise InputError("too few folds", where="folds", value=folds, allowed="2 or more")
     fold = deal(reading, folds, np.random.default_rng(seed))
-    trials = []
+    trials: list[Trial] = []
+    smooth: dict[int, PlaneMap] = {}
     for done, name in enumerate(names):
         if progress is not None:
             progress(done, len(names))
         together = FEWER_FOLDS.get(name.partition("-")[0], 1) if folds > 2 else 1
         try:
-            trials.append(_trial(reading, find_solver(name), optics, fold // together))
+            trials.append(_trial(reading, find_solver(name), optics, fold // together, smooth))
         except (InputError, BoardNotFound) as refusal:
             none = np.full(len(fold), np.nan)
             trials.append(Trial(Score(name, refused=str(refusal)), none))
@@ -466,8 +468,13 @@ def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
 
 
 def _trial(
-    reading: BoardReading, solver: NamedSolver, optics: OpticsSection | None, fold: Ints
+    reading: BoardReading,
+    solver: NamedSolver,
+    optics: OpticsSection | None,
+    fold: Ints,
+    smooth: dict[int, PlaneMap],
 ) -> Trial:
+    """smooth: the spline without each fold, kept once it is solved and set beside what follows."""
     marks = joined_marks(reading)
     error, sigma = np.full((2, len(fold), 2), np.nan)
     whole, ms = None, []
@@ -478,6 +485,10 @@ def _trial(
         held_out = marks.found & (fold == number)
         plane_map, fold_ms = _solve_timed(solver, without(reading, held_out), optics)
         ms.append(fold_ms if whole is None else whole_ms)
+        if solver.name == "spline":
+            smooth[number] = plane_map
+        if number in smooth:
+            plane_map = with_form_error(plane_map, reading, smooth[number])
         points = plane_map.to_plane(marks.image_px[held_out])
         error[held_out], sigma[held_out] = points.xz_mm - marks.board_mm[held_out], points.sigma_mm
     square, stated = (error**2).sum(axis=1), (sigma**2).sum(axis=1)

@@ -6,6 +6,7 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -348,6 +349,8 @@ class SolvedMap(Strict, ABC):
     stated_port: PortKind | None = None
     corrections: tuple[SheetCorrection, ...] = ()
     _name: str = PrivateAttr("")
+    _smooth: Callable[[Floats, Floats], Estimate] | None = PrivateAttr(None)
+    """What the smooth map through the same marks estimates (spline.with_form_error)."""
 
     @property
     def name(self) -> str:
@@ -387,7 +390,7 @@ class SolvedMap(Strict, ABC):
         covered = np.zeros(len(image_px), dtype=bool)
         covered[finite] = self.region.covers(image_px[finite])
         xz, variance = np.full((2, len(image_px), 2), np.nan)
-        estimate = self.estimate(image_px[covered], sigma[covered] ** 2)
+        estimate = self._estimate(image_px[covered], sigma[covered] ** 2)
         for correction in self.corrections:
             estimate = correction.apply(estimate)
         xz[covered] = estimate.xz_mm
@@ -398,6 +401,20 @@ class SolvedMap(Strict, ABC):
         xz[~valued], variance[~valued] = np.nan, np.nan
         modes = _modes(estimate, covered, valued)
         return PlanePoints(xz, np.sqrt(variance), status.astype(np.int64), modes)
+
+    def _estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """Points of covered pixels, their error taken from the smooth map where there is one.
+
+        The map errs by what it differs from the smooth map, which is known and common to points
+        that lie near each other, and by what the smooth map errs by.
+        """
+        if self._smooth is None:
+            return self.estimate(image_px, variance_px2)
+        smooth, xz_mm = self._smooth(image_px, variance_px2), self.points(image_px)
+        assert smooth.modes_mm is not None
+        differs = xz_mm - smooth.xz_mm
+        modes = np.concatenate([smooth.modes_mm, differs[:, :, None]], axis=2)
+        return Estimate(xz_mm, smooth.variance_mm2 + differs**2, modes)
 
     def locate(self, image_px: Floats) -> Floats:
         """(N, 2) mm, the points of ``to_plane`` without their uncertainties, in less time.
