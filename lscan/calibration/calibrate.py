@@ -13,10 +13,12 @@ from lscan.calibration.fields import STRICT, Count, NotNegative
 from lscan.calibration.maps.polynomial import box, terms
 from lscan.calibration.maps.spline import with_form_error
 from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
+from lscan.calibration.physical import PhysicalMap
 from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, find_solver
+from lscan.camera.posedboards import contradiction
 from lscan.camera.resection import MEDIAN, pixel_derivatives
 from lscan.config.plugins import others_versions
-from lscan.config.rig import OpticsSection
+from lscan.config.rig import Known, OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Ints, Mask, Progress
 from lscan.version import __version__
@@ -213,14 +215,34 @@ class Calibration:
         """Root mean square of the residuals' lengths in the picture, px."""
         return _rms(self.residuals_px)
 
+    def found(self) -> dict[str, Known]:
+        """What the map makes of the rig, by name, each number with its standard uncertainty.
+
+        scale_mm_per_px: on the mean over the marks; by its uncertainty all lengths are off alike.
+        Of a map that knows the physics also camera, port and sheet (PhysicalMap.found).
+        """
+        board_mm, image_px, _ = found_marks([self.reading.grid])
+        arm, seen = board_mm - board_mm.mean(axis=0), image_px - image_px.mean(axis=0)
+        scale = float(np.linalg.norm(arm) / np.linalg.norm(seen))
+        points = self.plane_map.to_plane(image_px)
+        modes = np.zeros((len(arm), 2, 0)) if points.modes_mm is None else points.modes_mm
+        off = np.nansum(arm[:, :, None] * modes, axis=(0, 1)) / (arm**2).sum()
+        known = {"scale_mm_per_px": (scale, scale * float(np.linalg.norm(off)))}
+        solved = getattr(self.plane_map, "chosen", self.plane_map)  # of auto
+        return known | solved.found() if isinstance(solved, PhysicalMap) else known
+
     @property
     def misfit(self) -> str:
-        """What a user should know of residuals that noise does not explain; "" where it does."""
+        """What noise does not explain, of the residuals and of [optics]; "" where it does."""
+        solved = getattr(self.plane_map, "chosen", self.plane_map)  # of auto
+        stated = ""
+        if isinstance(solved, PhysicalMap):
+            stated = contradiction(solved.geometry.theta, self.optics, self.image_size)
         sigma_px = np.sqrt(2 * np.nanmean(self.reading.grid.sigma_px**2))
         ratio = self.rms_px / max(float(sigma_px), 1e-9)
         if ratio < MANY_SIGMAS or self.rms_px < GROSS * spacing_px(self.reading):
-            return ""
-        return (
+            return stated
+        return f"{stated}; " * bool(stated) + (
             f"residuals of {self.rms_px:.2f} px rms are {ratio:.0f} times the uncertainty of the "
             "marks: the map is too stiff for this lens, or the board file, [optics], the board's "
             "flatness or the pixels' squareness is not as stated"

@@ -230,6 +230,29 @@ class PhysicalMap(SolvedMap):
     def _fields_of(self, vector: Floats) -> dict[str, Any]:
         """The fields that hold parameters."""
 
+    def found(self) -> dict[str, Known]:
+        """Camera, port and sheet, by name, each with its standard uncertainty.
+
+        sheet_distance_mm: from the pinhole to the sheet.  sheet_angle_deg: between the camera's
+        axis and the sheet's normal.  What was known exactly is left out.
+        """
+        sigma = np.linalg.norm(self.modes, axis=1)
+        known = {
+            name: (value, float(sigma[index]))
+            for index, (name, value) in enumerate(self.theta.items())
+            if name in CAMERA and sigma[index] > 0
+        }
+
+        def sheet(vector: Floats) -> Floats:  # also where it is just off the limits
+            there = self.model_construct(**(dict(self) | self._fields_of(vector))).geometry
+            normal = there.axes[:, 1]
+            return np.array([abs(normal @ there.place_mm), np.degrees(np.arccos(abs(normal[2])))])
+
+        ways = [sheet(self.vector + m) - sheet(self.vector - m) for m in MODE_STEP * self.modes.T]
+        spread = np.linalg.norm([np.zeros(2), *ways], axis=0) / (2 * MODE_STEP)
+        pairs = zip(sheet(self.vector).tolist(), spread.tolist(), strict=True)
+        return known | dict(zip(("sheet_distance_mm", "sheet_angle_deg"), pairs, strict=True))
+
     @property
     def _water_sigma(self) -> float:
         """Of the index in the water of the calibration; as stated where its modes are not kept."""

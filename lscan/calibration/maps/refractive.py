@@ -28,7 +28,7 @@ from lscan.camera.resection import (
     sound_marks,
     with_covariance,
 )
-from lscan.config.rig import OpticsSection, SinceSection
+from lscan.config.rig import Known, OpticsSection, SinceSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats, Mask, select
 
@@ -205,6 +205,14 @@ class Refractive(PhysicalMap):
 
     def _fields_of(self, vector: Floats) -> dict[str, Any]:
         return {"theta": dict(zip(NAMES, vector.tolist(), strict=True))}
+
+    def found(self) -> dict[str, Known]:
+        """Camera, port and sheet, as of every physical map; the board lay beside the sheet."""
+        known = super().found()
+        beside = {"sheet_distance_mm": self.board_offset_mm, "sheet_angle_deg": self.board_tilt_deg}
+        for name, lies in beside.items():
+            known[name] = (known[name][0], float(np.hypot(known[name][1], lies)))
+        return known
 
     def error_modes(self, image_px: Floats) -> Floats:
         """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.

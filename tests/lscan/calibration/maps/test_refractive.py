@@ -371,6 +371,24 @@ def test_modes_of_a_board_beside_the_sheet(fault: int) -> None:
     assert np.abs(missed).max() < 2e-3 + np.linalg.norm(slope) * 2 * np.abs(modes).max()
 
 
+def test_what_was_found_is_stated_and_what_it_contradicts() -> None:
+    """The camera 1 m off, 30 degrees above the sheet's normal, 840 +- 5 px known of 850: found
+    within 3 sigmas; known to be 700 +- 5, it is named."""
+    view = View()
+    reading = read_board(BOARD, view.project, NOISE_PX, np.random.default_rng(14))
+    lens = PAPER_LENS.model_copy(update={"focal_px": (840.0, 5.0), "p1": (0.0, 1e-3)})
+    calibration = calibrate(reading, "refractive", lens)
+    assert not calibration.misfit
+    nose = abs(view.eye_mm()[1])
+    truth = {"focal_px": 850.0, "sheet_distance_mm": nose, "sheet_angle_deg": 30.0}
+    for name, true in truth.items():
+        value, sigma = calibration.found()[name]
+        assert 0 < sigma < 0.01 * true
+        assert abs(value - true) < 3 * sigma
+    wrong = lens.model_copy(update={"focal_px": (700.0, 5.0)})
+    assert "focal_px comes out at 8" in calibrate(reading, "refractive", wrong).misfit
+
+
 def test_a_board_beside_the_sheet_shows_in_sigma() -> None:
     """[optics] board_offset_mm and board_tilt_deg reach the map, its sigma and its modes, but
     not its lack of fit.  To what tables leave (pixeltable.py): 2 SHARE of the largest of a mode,
