@@ -11,9 +11,9 @@ from pydantic import Field
 
 from lscan.calibration.fields import STRICT, Count, NotNegative
 from lscan.calibration.maps.polynomial import box, terms
-from lscan.calibration.maps.spline import with_form_error
+from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
-from lscan.calibration.physical import PhysicalMap
+from lscan.calibration.physical import BoardKnown, PhysicalMap
 from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, find_solver
 from lscan.camera.posedboards import contradiction
 from lscan.camera.resection import MEDIAN, pixel_derivatives
@@ -279,7 +279,7 @@ def calibrate(
     """
     known, sound = optics or NOTHING_KNOWN, without_outliers(reading)
     solved = find_solver(map_name).solve(sound.reading, known)
-    return calibration_by(map_name, with_form_error(solved, sound.reading), sound, known)
+    return calibration_by(map_name, with_hidden_errors(solved, sound.reading, known), sound, known)
 
 
 def calibration_by(
@@ -497,7 +497,8 @@ def _trial(
     smooth: dict[int, PlaneMap],
 ) -> Trial:
     """smooth: the spline without each fold, kept once it is solved and set beside what follows."""
-    marks = joined_marks(reading)
+    marks, exact = joined_marks(reading), dict.fromkeys(BoardKnown.__annotations__, 0.0)
+    flat = (optics or NOTHING_KNOWN).model_copy(update=exact)  # what the board does, all maps share
     error, sigma = np.full((2, len(fold), 2), np.nan)
     whole, ms = None, []
     if solver.searches:
@@ -505,12 +506,12 @@ def _trial(
         solver = solver.near(whole)
     for number in np.unique(fold[marks.found]):
         held_out = marks.found & (fold == number)
-        plane_map, fold_ms = _solve_timed(solver, without(reading, held_out), optics)
+        plane_map, fold_ms = _solve_timed(solver, without(reading, held_out), flat)
         ms.append(fold_ms if whole is None else whole_ms)
         if solver.name == "spline":
             smooth[number] = plane_map
         if number in smooth:
-            plane_map = with_form_error(plane_map, reading, smooth[number])
+            plane_map = with_hidden_errors(plane_map, reading, flat, smooth[number])
         points = plane_map.to_plane(marks.image_px[held_out])
         error[held_out], sigma[held_out] = points.xz_mm - marks.board_mm[held_out], points.sigma_mm
     square, stated = (error**2).sum(axis=1), (sigma**2).sum(axis=1)

@@ -36,7 +36,7 @@ from lscan.calibration.fields import (
     check_theta,
 )
 from lscan.calibration.maps.auto import with_chosen
-from lscan.calibration.maps.spline import with_form_error
+from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
 from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
@@ -416,7 +416,7 @@ class CalibrationFile(Strict):
 
         def with_error(solved: SolvedMap) -> SolvedMap:
             """As the solver has it; the file states what was added to the lack of fit since."""
-            beside = cast(SolvedMap, with_form_error(solved, reading))
+            beside = cast(SolvedMap, with_hidden_errors(solved, reading, self.optics))
             return beside.model_copy(update={"lack_of_fit_mm": solved.lack_of_fit_mm})
 
         return Calibration(

@@ -350,7 +350,9 @@ class SolvedMap(Strict, ABC):
     corrections: tuple[SheetCorrection, ...] = ()
     _name: str = PrivateAttr("")
     _smooth: Callable[[Floats, Floats], Estimate] | None = PrivateAttr(None)
-    """What the smooth map through the same marks estimates (spline.with_form_error)."""
+    _board: Callable[[Floats], Floats] | None = PrivateAttr(None)
+    """What the smooth map through the same marks estimates, and (N, 2 K) by which errors of the
+    board displace points (spline.with_hidden_errors)."""
 
     @property
     def name(self) -> str:
@@ -406,15 +408,19 @@ class SolvedMap(Strict, ABC):
         """Points of covered pixels, their error taken from the smooth map where there is one.
 
         The map errs by what it differs from the smooth map, which is known and common to points
-        that lie near each other, and by what the smooth map errs by.
+        that lie near each other, by what the smooth map errs by, and with the board.
         """
-        if self._smooth is None:
-            return self.estimate(image_px, variance_px2)
-        smooth, xz_mm = self._smooth(image_px, variance_px2), self.points(image_px)
-        assert smooth.modes_mm is not None
-        differs = xz_mm - smooth.xz_mm
-        modes = np.concatenate([smooth.modes_mm, differs[:, :, None]], axis=2)
-        return Estimate(xz_mm, smooth.variance_mm2 + differs**2, modes)
+        known = (self._smooth or self.estimate)(image_px, variance_px2)
+        xz_mm, more = known.xz_mm, np.zeros((len(image_px), 2, 0))
+        if self._smooth is not None:
+            xz_mm = self.points(image_px)
+            more = (xz_mm - known.xz_mm)[:, :, None]
+        if self._board is not None:
+            more = np.concatenate([more, self._board(image_px).reshape(*xz_mm.shape, -1)], axis=2)
+        if known.modes_mm is None:  # of a graticule by itself
+            return known
+        modes = np.concatenate([known.modes_mm, more], axis=2)
+        return Estimate(xz_mm, known.variance_mm2 + (more**2).sum(axis=2), modes)
 
     def locate(self, image_px: Floats) -> Floats:
         """(N, 2) mm, the points of ``to_plane`` without their uncertainties, in less time.

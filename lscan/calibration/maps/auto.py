@@ -20,7 +20,7 @@ from lscan.calibration.calibrate import (
     try_maps,
     without_outliers,
 )
-from lscan.calibration.maps.spline import with_form_error
+from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.planemap import NOTHING_KNOWN, PlaneMap, SolvedMap, find_solver
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
@@ -153,7 +153,7 @@ class AutoSolver:
         best = scores[0].name
         solved = {trial.score.name: trial.solved for trial in trials}[best]
         chosen = solved or find_solver(best).solve(reading, optics)
-        return Auto(with_form_error(chosen, reading), scores)
+        return Auto(with_hidden_errors(chosen, reading, optics), scores)
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Auto:
         """The map that parameters came from.

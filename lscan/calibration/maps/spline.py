@@ -21,8 +21,15 @@ from scipy.interpolate import BSpline
 from lscan.calibration.fields import STRICT, Matrix, Vector
 from lscan.calibration.maps.polynomial import Scaling, box, terms
 from lscan.calibration.maps.projective import Projective, solver as projective
-from lscan.calibration.marks import Region, all_marks, covered_region, found_marks
-from lscan.calibration.physical import PhysicalMap
+from lscan.calibration.marks import (
+    Region,
+    all_marks,
+    covered_region,
+    found_marks,
+    found_on,
+    joined_marks,
+)
+from lscan.calibration.physical import BoardKnown, PhysicalMap, board_modes, pixel_table, sheet_of
 from lscan.calibration.planemap import (
     Estimate,
     MapSolver,
@@ -32,6 +39,8 @@ from lscan.calibration.planemap import (
     separate_modes,
     with_lack_of_fit,
 )
+from lscan.camera.posedboards import priors_of
+from lscan.camera.resection import posed_boards
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats
@@ -345,32 +354,53 @@ class SplineSolver(MapSolver[Spline]):
 solver = SplineSolver()
 
 
-def with_form_error(
-    plane_map: PlaneMap, reading: BoardReading, smooth: PlaneMap | None = None
+def with_hidden_errors(
+    plane_map: PlaneMap,
+    reading: BoardReading,
+    optics: OpticsSection,
+    smooth: PlaneMap | None = None,
 ) -> PlaneMap:
-    """A map that knows no physics with the error that its form makes, beside the smooth map.
+    """A map that knows no physics with the errors that neither residuals nor held-out marks show.
 
     A graticule is straight from line to line, a matrix knows no lens, a high polynomial swings
-    between the marks: neither residuals nor marks held out show that, and a plane or a step fitted
-    through many points has it in common.  The map errs by its difference from the smooth map, one
-    mode of the points, and by what that errs by.  A spline, a map that knows the physics and one of
-    another package stay as they are, and where the marks are too few for a spline.
+    between the marks: a plane or a step fitted through many points has that in common.  The map
+    errs by its difference from the smooth map, one mode of the points, and by what that errs by.
+    What the board's place and form do (board_modes) follows from the camera that [optics] expects.
+    A map that knows the physics and one of another package stay as they are, and where the marks
+    are too few for a spline.
 
     Parameters
     ----------
     plane_map : PlaneMap, solved from the reading
     reading : BoardReading, px and mm, the marks of one picture
+    optics : OpticsSection, what is known of camera and board beforehand
     smooth : PlaneMap, optional, the spline solved from the same; solved here by default
     """
-    if not isinstance(plane_map, SolvedMap) or isinstance(plane_map, (Spline, PhysicalMap)):
+    if not isinstance(plane_map, SolvedMap) or isinstance(plane_map, PhysicalMap):
         return plane_map
-    try:
-        smooth = smooth or solver.solve(reading, "")
-    except BoardNotFound:
-        return plane_map
-    assert isinstance(smooth, Spline)
-    other = plane_map.model_copy(update={"lack_of_fit_mm": smooth.lack_of_fit_mm})
-    other._smooth = smooth.in_few_modes
+    other = plane_map.model_copy()
+    if not isinstance(plane_map, Spline):
+        try:
+            smooth = smooth or solver.solve(reading, "")
+        except BoardNotFound:
+            return plane_map
+        assert isinstance(smooth, Spline)
+        other = plane_map.model_copy(update={"lack_of_fit_mm": smooth.lack_of_fit_mm})
+        other._smooth = smooth.in_few_modes
+    marks, theta = (
+        found_on([joined_marks(reading)], [0]),
+        priors_of(optics, reading.image_size).mean,
+    )
+    known = any(getattr(optics, name) for name in BoardKnown.__annotations__)
+    view = posed_boards(theta, optics.port, marks) if known else None
+    if view is not None:
+
+        def by_board(image_px: Floats) -> Floats:
+            moved = board_modes(sheet_of(view), optics, plane_map.region, image_px)
+            return moved.reshape(len(image_px), -1)
+
+        table = pixel_table(by_board, plane_map.region)
+        other._board = table.look_up if table else by_board
     return other
 
 
