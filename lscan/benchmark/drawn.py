@@ -148,8 +148,12 @@ OPTICS = OpticsSection(
     thickness_mm=(6.0, 0.3),
     glass_index=(1.49, 0.005),
     water_index=(1.3317, 0.0005),
+    board_offset_mm=0.0,
+    board_tilt_deg=0.0,
+    board_bend_mm=0.0,
+    board_scale_percent=0.0,
 )
-"""What the owner of such a rig knows of it: the port by ruler and data sheet."""
+"""What the owner of such a rig knows of it: the port by ruler and data sheet, the drawn board."""
 
 
 def image_px(xz_mm: Floats) -> Floats:

@@ -11,11 +11,14 @@ from pydantic import Field
 
 from lscan.calibration.fields import STRICT, Count, NotNegative
 from lscan.calibration.maps.polynomial import box, terms
+from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
+from lscan.calibration.physical import BoardKnown, PhysicalMap
 from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, find_solver
+from lscan.camera.posedboards import contradiction
 from lscan.camera.resection import MEDIAN, pixel_derivatives
 from lscan.config.plugins import others_versions
-from lscan.config.rig import OpticsSection
+from lscan.config.rig import Known, OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Ints, Mask, Progress
 from lscan.version import __version__
@@ -212,14 +215,34 @@ class Calibration:
         """Root mean square of the residuals' lengths in the picture, px."""
         return _rms(self.residuals_px)
 
+    def found(self) -> dict[str, Known]:
+        """What the map makes of the rig, by name, each number with its standard uncertainty.
+
+        scale_mm_per_px: on the mean over the marks; by its uncertainty all lengths are off alike.
+        Of a map that knows the physics also camera, port and sheet (PhysicalMap.found).
+        """
+        board_mm, image_px, _ = found_marks([self.reading.grid])
+        arm, seen = board_mm - board_mm.mean(axis=0), image_px - image_px.mean(axis=0)
+        scale = float(np.linalg.norm(arm) / np.linalg.norm(seen))
+        points = self.plane_map.to_plane(image_px)
+        modes = np.zeros((len(arm), 2, 0)) if points.modes_mm is None else points.modes_mm
+        off = np.nansum(arm[:, :, None] * modes, axis=(0, 1)) / (arm**2).sum()
+        known = {"scale_mm_per_px": (scale, scale * float(np.linalg.norm(off)))}
+        solved = getattr(self.plane_map, "chosen", self.plane_map)  # of auto
+        return known | solved.found() if isinstance(solved, PhysicalMap) else known
+
     @property
     def misfit(self) -> str:
-        """What a user should know of residuals that noise does not explain; "" where it does."""
+        """What noise does not explain, of the residuals and of [optics]; "" where it does."""
+        solved = getattr(self.plane_map, "chosen", self.plane_map)  # of auto
+        stated = ""
+        if isinstance(solved, PhysicalMap):
+            stated = contradiction(solved.geometry.theta, self.optics, self.image_size)
         sigma_px = np.sqrt(2 * np.nanmean(self.reading.grid.sigma_px**2))
         ratio = self.rms_px / max(float(sigma_px), 1e-9)
         if ratio < MANY_SIGMAS or self.rms_px < GROSS * spacing_px(self.reading):
-            return ""
-        return (
+            return stated
+        return f"{stated}; " * bool(stated) + (
             f"residuals of {self.rms_px:.2f} px rms are {ratio:.0f} times the uncertainty of the "
             "marks: the map is too stiff for this lens, or the board file, [optics], the board's "
             "flatness or the pixels' squareness is not as stated"
@@ -256,7 +279,7 @@ def calibrate(
     """
     known, sound = optics or NOTHING_KNOWN, without_outliers(reading)
     solved = find_solver(map_name).solve(sound.reading, known)
-    return calibration_by(map_name, solved, sound, known)
+    return calibration_by(map_name, with_hidden_errors(solved, sound.reading, known), sound, known)
 
 
 def calibration_by(
@@ -430,13 +453,14 @@ def try_maps(
     if folds < 2:
         raise InputError("too few folds", where="folds", value=folds, allowed="2 or more")
     fold = deal(reading, folds, np.random.default_rng(seed))
-    trials = []
+    trials: list[Trial] = []
+    smooth: dict[int, PlaneMap] = {}
     for done, name in enumerate(names):
         if progress is not None:
             progress(done, len(names))
         together = FEWER_FOLDS.get(name.partition("-")[0], 1) if folds > 2 else 1
         try:
-            trials.append(_trial(reading, find_solver(name), optics, fold // together))
+            trials.append(_trial(reading, find_solver(name), optics, fold // together, smooth))
         except (InputError, BoardNotFound) as refusal:
             none = np.full(len(fold), np.nan)
             trials.append(Trial(Score(name, refused=str(refusal)), none))
@@ -466,9 +490,15 @@ def deal(reading: BoardReading, folds: int, rng: np.random.Generator) -> Ints:
 
 
 def _trial(
-    reading: BoardReading, solver: NamedSolver, optics: OpticsSection | None, fold: Ints
+    reading: BoardReading,
+    solver: NamedSolver,
+    optics: OpticsSection | None,
+    fold: Ints,
+    smooth: dict[int, PlaneMap],
 ) -> Trial:
-    marks = joined_marks(reading)
+    """smooth: the spline without each fold, kept once it is solved and set beside what follows."""
+    marks, exact = joined_marks(reading), dict.fromkeys(BoardKnown.__annotations__, 0.0)
+    flat = (optics or NOTHING_KNOWN).model_copy(update=exact)  # what the board does, all maps share
     error, sigma = np.full((2, len(fold), 2), np.nan)
     whole, ms = None, []
     if solver.searches:
@@ -476,8 +506,12 @@ def _trial(
         solver = solver.near(whole)
     for number in np.unique(fold[marks.found]):
         held_out = marks.found & (fold == number)
-        plane_map, fold_ms = _solve_timed(solver, without(reading, held_out), optics)
+        plane_map, fold_ms = _solve_timed(solver, without(reading, held_out), flat)
         ms.append(fold_ms if whole is None else whole_ms)
+        if solver.name == "spline":
+            smooth[number] = plane_map
+        if number in smooth:
+            plane_map = with_hidden_errors(plane_map, reading, flat, smooth[number])
         points = plane_map.to_plane(marks.image_px[held_out])
         error[held_out], sigma[held_out] = points.xz_mm - marks.board_mm[held_out], points.sigma_mm
     square, stated = (error**2).sum(axis=1), (sigma**2).sum(axis=1)

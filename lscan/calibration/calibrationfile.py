@@ -36,10 +36,11 @@ from lscan.calibration.fields import (
     check_theta,
 )
 from lscan.calibration.maps.auto import with_chosen
+from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.metric.planemap import Metric
 from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
 from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
-from lscan.calibration.planemap import PlaneMap, find_solver
+from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver
 from lscan.camera.optics import stated_port
 from lscan.camera.posedboards import CAMERA, COUNT
 from lscan.config.documents import Strict, check
@@ -412,9 +413,15 @@ class CalibrationFile(Strict):
             computed, _ = residuals(plane_map, reading)
         if not np.allclose(computed, stored.mm, rtol=0, atol=SAME_MM, equal_nan=True):
             raise InputError("residuals.mm: do not belong to the parameters", where=path)
+
+        def with_error(solved: SolvedMap) -> SolvedMap:
+            """As the solver has it; the file states what was added to the lack of fit since."""
+            beside = cast(SolvedMap, with_hidden_errors(solved, reading, self.optics))
+            return beside.model_copy(update={"lack_of_fit_mm": solved.lack_of_fit_mm})
+
         return Calibration(
             name=self.plane_map,
-            plane_map=plane_map,
+            plane_map=with_chosen(plane_map, with_error),
             reading=reading,
             residuals_mm=stored.mm,
             residuals_px=stored.px,

@@ -7,7 +7,7 @@ calibration does to its points.
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebpts1, chebvander, chebvander2d
@@ -18,7 +18,7 @@ from lscan.calibration.marks import Region
 from lscan.calibration.planemap import Estimate, SolvedMap, estimate_of
 from lscan.camera import rays
 from lscan.camera.optics import UNKNOWN_WATER, meet_plane
-from lscan.camera.posedboards import CAMERA, PortKind, camera_of, rotation
+from lscan.camera.posedboards import CAMERA, PortKind, PosedBoards, camera_of, rotation
 from lscan.camera.resection import (
     MODE_STEP,
     Locate,
@@ -175,6 +175,18 @@ class SheetGeometry:
         return replace(self, theta=theta)
 
 
+def sheet_of(view: PosedBoards) -> SheetGeometry:
+    """Camera and first board, in whose plane the sheet lies.
+
+    Parameters
+    ----------
+    view : PosedBoards
+    """
+    return SheetGeometry(
+        view.theta[: len(CAMERA)], view.port, view.axes[0], view.places_mm[0], view.centre_mm
+    )
+
+
 INDEX_STEP = 1e-5  # for differences by the water's index: 0.01 px, of rounding of 1e-9
 
 
@@ -229,6 +241,29 @@ class PhysicalMap(SolvedMap):
     @abstractmethod
     def _fields_of(self, vector: Floats) -> dict[str, Any]:
         """The fields that hold parameters."""
+
+    def found(self) -> dict[str, Known]:
+        """Camera, port and sheet, by name, each with its standard uncertainty.
+
+        sheet_distance_mm: from the pinhole to the sheet.  sheet_angle_deg: between the camera's
+        axis and the sheet's normal.  What was known exactly is left out.
+        """
+        sigma = np.linalg.norm(self.modes, axis=1)
+        known = {
+            name: (value, float(sigma[index]))
+            for index, (name, value) in enumerate(self.theta.items())
+            if name in CAMERA and sigma[index] > 0
+        }
+
+        def sheet(vector: Floats) -> Floats:  # also where it is just off the limits
+            there = self.model_construct(**(dict(self) | self._fields_of(vector))).geometry
+            normal = there.axes[:, 1]
+            return np.array([abs(normal @ there.place_mm), np.degrees(np.arccos(abs(normal[2])))])
+
+        ways = [sheet(self.vector + m) - sheet(self.vector - m) for m in MODE_STEP * self.modes.T]
+        spread = np.linalg.norm([np.zeros(2), *ways], axis=0) / (2 * MODE_STEP)
+        pairs = zip(sheet(self.vector).tolist(), spread.tolist(), strict=True)
+        return known | dict(zip(("sheet_distance_mm", "sheet_angle_deg"), pairs, strict=True))
 
     @property
     def _water_sigma(self) -> float:
@@ -416,6 +451,43 @@ def change_modes(geometry: SheetGeometry, since: SinceSection, image_px: Floats)
         )
     ]
     return np.stack(modes, axis=2) if modes else np.zeros((len(image_px), 2, 0))
+
+
+class BoardKnown(Protocol):
+    """How well it is known how the board lay and how it is made, as OpticsSection has it."""
+
+    board_offset_mm: float
+    board_tilt_deg: float
+    board_bend_mm: float
+    board_scale_percent: float
+
+
+def board_modes(
+    geometry: SheetGeometry, board: BoardKnown, region: Region, image_px: Floats
+) -> Floats:
+    """(N, 2, K) mm by which one standard deviation of each error of the board moves points.
+
+    The board's errors that its picture does not show: where it stands h behind the sheet, a point
+    of the sheet is taken for one that lies by h times the slope of the line of sight beside it.
+    h is even, tilted about x or z, or bent as x^2, x z or z^2 over the half size of the board.
+
+    Parameters
+    ----------
+    geometry : SheetGeometry, of the map, whose plane is the board's
+    board : BoardKnown, standard uncertainties
+    region : Region, px, that the board covers
+    image_px : (N, 2) array, px, of (u, v)
+    """
+    ways = [replace(geometry, shift_mm=way).locate(image_px) for way in (1.0, -1.0)]
+    half_mm = np.abs(geometry.locate(region.outline_px) - geometry.at_mm).max(axis=0)
+    arm = geometry.locate(image_px) - geometry.at_mm
+    x, z = (arm / half_mm).T
+    tilt_x, tilt_z = np.radians(board.board_tilt_deg) * half_mm[::-1]
+    sigmas = [board.board_offset_mm, tilt_x, tilt_z, *[board.board_bend_mm] * 3]
+    heights = np.stack([np.ones_like(x), z, x, x * x, x * z, z * z], axis=1) * sigmas
+    beside = (ways[0] - ways[1])[:, :, None] / 2 * heights[:, None]
+    scale = arm[:, :, None] * board.board_scale_percent / 100
+    return np.concatenate([beside, scale], axis=2)[:, :, [*map(bool, sigmas), bool(scale.any())]]
 
 
 def _geometries_after(

@@ -6,6 +6,7 @@ the solver's name and, after a hyphen, its variant: ``graticule-2-norulers`` is 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -348,6 +349,10 @@ class SolvedMap(Strict, ABC):
     stated_port: PortKind | None = None
     corrections: tuple[SheetCorrection, ...] = ()
     _name: str = PrivateAttr("")
+    _smooth: Callable[[Floats, Floats], Estimate] | None = PrivateAttr(None)
+    _board: Callable[[Floats], Floats] | None = PrivateAttr(None)
+    """What the smooth map through the same marks estimates, and (N, 2 K) by which errors of the
+    board displace points (spline.with_hidden_errors)."""
 
     @property
     def name(self) -> str:
@@ -387,7 +392,7 @@ class SolvedMap(Strict, ABC):
         covered = np.zeros(len(image_px), dtype=bool)
         covered[finite] = self.region.covers(image_px[finite])
         xz, variance = np.full((2, len(image_px), 2), np.nan)
-        estimate = self.estimate(image_px[covered], sigma[covered] ** 2)
+        estimate = self._estimate(image_px[covered], sigma[covered] ** 2)
         for correction in self.corrections:
             estimate = correction.apply(estimate)
         xz[covered] = estimate.xz_mm
@@ -398,6 +403,24 @@ class SolvedMap(Strict, ABC):
         xz[~valued], variance[~valued] = np.nan, np.nan
         modes = _modes(estimate, covered, valued)
         return PlanePoints(xz, np.sqrt(variance), status.astype(np.int64), modes)
+
+    def _estimate(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """Points of covered pixels, their error taken from the smooth map where there is one.
+
+        The map errs by what it differs from the smooth map, which is known and common to points
+        that lie near each other, by what the smooth map errs by, and with the board.
+        """
+        known = (self._smooth or self.estimate)(image_px, variance_px2)
+        xz_mm, more = known.xz_mm, np.zeros((len(image_px), 2, 0))
+        if self._smooth is not None:
+            xz_mm = self.points(image_px)
+            more = (xz_mm - known.xz_mm)[:, :, None]
+        if self._board is not None:
+            more = np.concatenate([more, self._board(image_px).reshape(*xz_mm.shape, -1)], axis=2)
+        if known.modes_mm is None:  # of a graticule by itself
+            return known
+        modes = np.concatenate([known.modes_mm, more], axis=2)
+        return Estimate(xz_mm, known.variance_mm2 + (more**2).sum(axis=2), modes)
 
     def locate(self, image_px: Floats) -> Floats:
         """(N, 2) mm, the points of ``to_plane`` without their uncertainties, in less time.

@@ -39,6 +39,8 @@ PortKind = Literal["flat", "none"]
 FOCAL_WIDTHS = (1.2, 0.8)  # focal length and its uncertainty over the picture's width
 CENTRE_WIDTHS = 0.1  # uncertainty of the axis over the picture's width
 
+CONTRADICTED = 4.0  # sigmas: one of 16,000 that was stated rightly is as far off
+
 # The permitted range of each parameter that has one.
 LIMITS = {
     "focal_px": (1.0, np.inf),
@@ -137,6 +139,28 @@ def priors_of(
         mean[WATER] = 1.0
         sigma[len(LENS) :] = 0.0
     return CameraPriors(mean, sigma, optics.focal_px is not None)
+
+
+def contradiction(
+    theta: Floats, optics: OpticsSection, image_size: tuple[int, int], k3: Known = (0.0, 0.0)
+) -> str:
+    """What was stated beforehand and the pictures contradict, in words; "" where nothing is.
+
+    Parameters
+    ----------
+    theta : (14,) array, the camera that was found, in the order of CAMERA
+    optics : OpticsSection, what was known of it
+    image_size : tuple of int, (width, height) of the pictures, px
+    k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
+    """
+    priors = priors_of(optics, image_size, k3, assume_webcam=False)
+    off = np.abs(theta - priors.mean) / np.where(priors.informed, priors.sigma, np.inf)
+    words = [
+        f"{CAMERA[k]} comes out at {theta[k]:.6g}, {off[k]:.0f} of its standard uncertainties off "
+        f"the {priors.mean[k]:g} ± {priors.sigma[k]:g} that [optics] has"
+        for k in np.flatnonzero(off > CONTRADICTED)
+    ]
+    return "; ".join(words) + ": correct it, or state it as less certain" if words else ""
 
 
 # A camera and the boards in front of it, as one vector of parameters.

@@ -1,6 +1,6 @@
 """``lscan calibrate``, ``check``, ``calibrate-metric``, ``calibrate-shaft`` and ``draw-board``."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +17,7 @@ from lscan.calibration.calibrate import Calibration, calibrate as solve
 from lscan.calibration.maps.auto import Auto, calibrate_best
 from lscan.calibration.metric import solve as metric
 from lscan.calibration.metric.views import FittedView, load_views, read_views, write_overlays
-from lscan.camera.posedboards import CAMERA
+from lscan.camera.posedboards import CAMERA, contradiction
 from lscan.cli.console import MAPS, Json, Trust, note, progress_bar, require_folders, show, table
 from lscan.cli.inputs import (
     note_water,
@@ -27,7 +27,7 @@ from lscan.cli.inputs import (
 )
 from lscan.config.board import Board
 from lscan.config.documents import check as check_section, read_document
-from lscan.config.rig import inline_board
+from lscan.config.rig import Known, inline_board
 from lscan.files.disk import write_atomically
 from lscan.files.pictures import write_picture
 from lscan.pipeline import find_shaft
@@ -121,10 +121,19 @@ def _as_json(calibration: Calibration) -> dict[str, Any]:
         "residuals": residuals,
         "outliers_mm": calibration.outliers_mm,
         "misfit": calibration.misfit,
+        "found": _known_json(calibration.found()),
     }
     if isinstance(plane_map, Auto):
         content |= {"chosen": plane_map.chosen.name, "scores": plane_map.scores}
     return content
+
+
+def _known_json(known: Mapping[str, Known]) -> dict[str, Any]:
+    return {name: {"value": value, "sigma": sigma} for name, (value, sigma) in known.items()}
+
+
+def _known_rows(known: Mapping[str, Known]) -> list[list[Any]]:
+    return [[name, f"{value:.6g}", f"{sigma:.2g}"] for name, (value, sigma) in known.items()]
 
 
 def _calibration_words(calibration: Calibration, path: Path) -> Iterator[str | Table]:
@@ -145,6 +154,7 @@ def _calibration_words(calibration: Calibration, path: Path) -> Iterator[str | T
         f"{calibration.name}{chosen}: {found.sum()} of {len(found)} control points, "
         f"residuals {calibration.rms_mm:.3f} mm rms, {calibration.max_mm:.3f} mm at most; {path}"
     )
+    yield table("found", ["", "value", "sigma"], _known_rows(calibration.found()))
     for x, z in calibration.outliers_mm:
         yield f"left out: the mark at ({x:g}, {z:g}) mm does not lie where the others predict it"
     if calibration.misfit:
@@ -234,14 +244,18 @@ def calibrate_metric(
         content |= {"map": calibration.plane_map.name, "line_rms_mm": calibration.line_rms_mm}
         lines = sum(view.line_used for view in calibration.views)
         off = f"{calibration.line_rms_mm:.3f} mm rms off the sheet"
-        words = f"metric: {used}; {lines} lines, {off}"
+        known = calibration.plane_map.found()
+        content["found"], (away, about) = _known_json(known), known["sheet_distance_mm"]
+        words = f"metric: {used}; {lines} lines, {off}; sheet {away:.1f} ± {about:.2g} mm away"
     focal, sigma = calibration.theta[0], calibration.sigma[0]
     words += f"; focal length {focal:.1f} ± {sigma:.1f} px"
-    known_as = zip(CAMERA, calibration.theta, calibration.sigma, strict=True)
-    content["camera"] = {name: {"value": value, "sigma": sigma} for name, value, sigma in known_as}
-    content |= {"misfit": calibration.misfit, "views": _views_json(calibration.views)}
+    pairs = zip(calibration.theta, calibration.sigma, strict=True)
+    content["camera"] = _known_json(dict(zip(CAMERA, pairs, strict=True)))
+    stated = contradiction(calibration.theta, optics, size, k3)
+    misfit = "; ".join(filter(None, (calibration.misfit, stated)))
+    content |= {"misfit": misfit, "views": _views_json(calibration.views)}
     views_table = _views_table(calibration.views)
-    warnings = [f"warning: {calibration.misfit}"] if calibration.misfit else []
+    warnings = [f"warning: {misfit}"] if misfit else []
     content = {"calibration": output, **content}
     show(content, views_table, f"{words}; {output}", *warnings, json=json)
 

@@ -160,8 +160,11 @@ class OpticsSection(Strict):
     that is 1 mm thinner on one side of 60 mm and a lens 1 degree askew in its case, each taken as
     anywhere within its limits (GUM 4.3.7), make sqrt(3^2 + 1^2 + 1^2) / sqrt(3) = 1.9 degrees.
     port = "none": a camera in air without a window.
-    board_offset_mm, board_tilt_deg: standard uncertainties of how far the board lay off the
-    laser sheet, and of its tilt against it about either axis: what alignment by eye leaves.
+    board_offset_mm, board_tilt_deg, board_bend_mm, board_scale_percent: standard uncertainties of
+    how far the board lay off the laser sheet, of its tilt against it about either axis, of how far
+    its rim is bent off its middle, and of its scale.  Each taken as anywhere within the limits of
+    a careful maker (GUM 4.3.7): the sheet grazes the board to 1 mm at either end of 200 mm, no two
+    sheets of paper go between it and a straight edge, 0.05 mm of a calliper over 150 mm.
     """
 
     port: Literal["flat", "none"] = "flat"
@@ -182,8 +185,10 @@ class OpticsSection(Strict):
     wavelength_nm: Annotated[float, Field(ge=400, le=700)] = 650.0
     tilt_x_deg: KnownTilt = (0.0, 2.0)
     tilt_y_deg: KnownTilt = (0.0, 2.0)
-    board_offset_mm: Annotated[float, Field(ge=0, le=100)] = 0.0
-    board_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.0
+    board_offset_mm: Annotated[float, Field(ge=0, le=100)] = 0.6
+    board_tilt_deg: Annotated[float, Field(ge=0, le=20)] = 0.25
+    board_bend_mm: Annotated[float, Field(ge=0, le=100)] = 0.1
+    board_scale_percent: Annotated[float, Field(ge=0, le=10)] = 0.02
 
     @model_validator(mode="after")
     def _one_statement_of_the_water(self) -> Self:

@@ -13,6 +13,7 @@ import numpy as np
 from hypothesis import strategies as st
 from places import PAPER_BOARD
 
+from lscan.calibration.physical import BoardKnown
 from lscan.config.board import Board, load_board
 from lscan.records import (
     BoardReading,
@@ -127,6 +128,8 @@ class View:
 
 
 Projection = Callable[[Floats], Floats]
+EXACT_BOARD: dict[str, Any] = dict.fromkeys(BoardKnown.__annotations__, 0.0)
+"""What [optics] says of the boards drawn here: flat, to scale, and in the sheet."""
 
 
 def read_board(

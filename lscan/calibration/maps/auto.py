@@ -20,6 +20,7 @@ from lscan.calibration.calibrate import (
     try_maps,
     without_outliers,
 )
+from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.planemap import NOTHING_KNOWN, PlaneMap, SolvedMap, find_solver
 from lscan.config.documents import Strict, check
 from lscan.config.rig import OpticsSection
@@ -151,7 +152,8 @@ class AutoSolver:
             raise BoardNotFound(f"no plane map could be solved: {scores[0].refused}")
         best = scores[0].name
         solved = {trial.score.name: trial.solved for trial in trials}[best]
-        return Auto(solved or find_solver(best).solve(reading, optics), scores)
+        chosen = solved or find_solver(best).solve(reading, optics)
+        return Auto(with_hidden_errors(chosen, reading, optics), scores)
 
     def restore(self, variant: str, parameters: dict[str, Any]) -> Auto:
         """The map that parameters came from.

@@ -11,9 +11,16 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from lscan.calibration.fields import Matrix, Number, Place, check_theta, of_length
+from lscan.calibration.fields import Matrix, NotNegative, Number, Place, check_theta, of_length
 from lscan.calibration.marks import covered_region, found_on, joined_marks, without
-from lscan.calibration.physical import PhysicalMap, SheetGeometry, change_modes, unexplained_mm
+from lscan.calibration.physical import (
+    BoardKnown,
+    PhysicalMap,
+    SheetGeometry,
+    board_modes,
+    sheet_of,
+    unexplained_mm,
+)
 from lscan.calibration.planemap import MapSolver
 from lscan.camera.posedboards import CAMERA, POSE, CameraPriors, PortKind, PosedBoards, priors_of
 from lscan.camera.resection import (
@@ -28,7 +35,7 @@ from lscan.camera.resection import (
     sound_marks,
     with_covariance,
 )
-from lscan.config.rig import OpticsSection, SinceSection
+from lscan.config.rig import Known, OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats, Mask, select
 
@@ -146,6 +153,8 @@ class Refractive(PhysicalMap):
     board_offset_mm : float, mm, standard uncertainty of the board's distance from the laser sheet
         at centre_mm
     board_tilt_deg : float, degrees, standard uncertainty of its tilt about x and about z
+    board_bend_mm, board_scale_percent : float, likewise of its bend and of its scale; 0 in older
+        files
     outliers_mm : tuple of array, mm, (x, z) of the marks that the map does not rest on
     region : Region, px, where the map holds
     lack_of_fit_mm : (2,) array, mm, of x and of z (unexplained.py)
@@ -161,6 +170,8 @@ class Refractive(PhysicalMap):
     modes: Annotated[Matrix, of_length(COUNT)]
     board_offset_mm: Annotated[float, Field(ge=0, le=100)]
     board_tilt_deg: Annotated[float, Field(ge=0, le=20)]
+    board_bend_mm: NotNegative = 0.0
+    board_scale_percent: NotNegative = 0.0
     outliers_mm: tuple[Place, ...]
 
     @cached_property
@@ -174,10 +185,7 @@ class Refractive(PhysicalMap):
     @cached_property
     def geometry(self) -> SheetGeometry:
         """Camera and board, in whose plane the sheet lies."""
-        view = self.view
-        return SheetGeometry(
-            view.theta[: len(CAMERA)], self.port, view.axes[0], view.places_mm[0], self.centre_mm
-        )
+        return sheet_of(self.view)
 
     @property
     def vector(self) -> Floats:
@@ -206,6 +214,14 @@ class Refractive(PhysicalMap):
     def _fields_of(self, vector: Floats) -> dict[str, Any]:
         return {"theta": dict(zip(NAMES, vector.tolist(), strict=True))}
 
+    def found(self) -> dict[str, Known]:
+        """Camera, port and sheet, as of every physical map; the board lay beside the sheet."""
+        known = super().found()
+        beside = {"sheet_distance_mm": self.board_offset_mm, "sheet_angle_deg": self.board_tilt_deg}
+        for name, lies in beside.items():
+            known[name] = (known[name][0], float(np.hypot(known[name][1], lies)))
+        return known
+
     def error_modes(self, image_px: Floats) -> Floats:
         """(N, 2, M) mm, by which one standard deviation of each error moves the points of pixels.
 
@@ -213,10 +229,7 @@ class Refractive(PhysicalMap):
         ----------
         image_px : (N, 2) array, px, of (u, v)
         """
-        beside = SinceSection(
-            sheet_shift_mm=self.board_offset_mm, sheet_tilt_deg=self.board_tilt_deg
-        )
-        lying = change_modes(self.geometry, beside, image_px)
+        lying = board_modes(self.geometry, self, self.region, image_px)
         return np.concatenate([super().error_modes(image_px), lying], axis=2)
 
 
@@ -264,8 +277,7 @@ class RefractiveSolver(MapSolver[Refractive]):
                 "all_modes": True,
                 # The board's own marks do not show where the sheet is: judged without that.
                 "lack_of_fit_mm": unexplained_mm(solved, sound),
-                "board_offset_mm": optics.board_offset_mm,
-                "board_tilt_deg": optics.board_tilt_deg,
+                **{name: getattr(optics, name) for name in BoardKnown.__annotations__},
             }
         )
 

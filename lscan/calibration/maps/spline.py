@@ -10,7 +10,7 @@ remains of it is bent so little that the penalty costs next to nothing.
 Each mark counts by its own uncertainty, propagated to mm by the map's Jacobian.  No variants.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import comb
 from typing import Annotated, Self
 
@@ -21,15 +21,26 @@ from scipy.interpolate import BSpline
 from lscan.calibration.fields import STRICT, Matrix, Vector
 from lscan.calibration.maps.polynomial import Scaling, box, terms
 from lscan.calibration.maps.projective import Projective, solver as projective
-from lscan.calibration.marks import Region, all_marks, covered_region, found_marks
+from lscan.calibration.marks import (
+    Region,
+    all_marks,
+    covered_region,
+    found_marks,
+    found_on,
+    joined_marks,
+)
+from lscan.calibration.physical import BoardKnown, PhysicalMap, board_modes, pixel_table, sheet_of
 from lscan.calibration.planemap import (
     Estimate,
     MapSolver,
+    PlaneMap,
     SolvedMap,
     estimate_of,
     separate_modes,
     with_lack_of_fit,
 )
+from lscan.camera.posedboards import priors_of
+from lscan.camera.resection import posed_boards
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats
@@ -225,6 +236,9 @@ SEGMENTS = 6  # of the longer side; the penalty, not the knots, limits how much 
 LEAST_SIGMA_PX = 1e-3  # no mark is known better, whatever it states
 KEPT = 0.98  # of the variance, on the mean over the region, that the modes must account for
 LATTICE = 24  # places a side at which that is judged
+FEW = (
+    12  # modes of x and of z that a map beside this one states: two thirds of the variance and more
+)
 
 
 class Spline(SolvedMap):
@@ -272,6 +286,19 @@ class Spline(SolvedMap):
         modes = separate_modes(*(rows @ root for root in self.roots))
         places = self.base.places(image_px) + rows @ self.coefficients.T
         return estimate_of(places, jacobian, modes, variance_px2)
+
+    def in_few_modes(self, image_px: Floats, variance_px2: Floats) -> Estimate:
+        """As ``estimate``, with the strongest modes alone; what the others do is each point's own.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        variance_px2 : (N,) array, px², of either pixel coordinate
+        """
+        whole, of_x = self.estimate(image_px, variance_px2), self.roots[0]
+        assert whole.modes_mm is not None
+        modes = [m[:, :, :FEW] for m in np.split(whole.modes_mm, [of_x.shape[1]], axis=2)]
+        return replace(whole, modes_mm=np.concatenate(modes, axis=2))
 
 
 class SplineSolver(MapSolver[Spline]):
@@ -325,6 +352,56 @@ class SplineSolver(MapSolver[Spline]):
 
 
 solver = SplineSolver()
+
+
+def with_hidden_errors(
+    plane_map: PlaneMap,
+    reading: BoardReading,
+    optics: OpticsSection,
+    smooth: PlaneMap | None = None,
+) -> PlaneMap:
+    """A map that knows no physics with the errors that neither residuals nor held-out marks show.
+
+    A graticule is straight from line to line, a matrix knows no lens, a high polynomial swings
+    between the marks: a plane or a step fitted through many points has that in common.  The map
+    errs by its difference from the smooth map, one mode of the points, and by what that errs by.
+    What the board's place and form do (board_modes) follows from the camera that [optics] expects.
+    A map that knows the physics and one of another package stay as they are, and where the marks
+    are too few for a spline.
+
+    Parameters
+    ----------
+    plane_map : PlaneMap, solved from the reading
+    reading : BoardReading, px and mm, the marks of one picture
+    optics : OpticsSection, what is known of camera and board beforehand
+    smooth : PlaneMap, optional, the spline solved from the same; solved here by default
+    """
+    if not isinstance(plane_map, SolvedMap) or isinstance(plane_map, PhysicalMap):
+        return plane_map
+    other = plane_map.model_copy()
+    if not isinstance(plane_map, Spline):
+        try:
+            smooth = smooth or solver.solve(reading, "")
+        except BoardNotFound:
+            return plane_map
+        assert isinstance(smooth, Spline)
+        other = plane_map.model_copy(update={"lack_of_fit_mm": smooth.lack_of_fit_mm})
+        other._smooth = smooth.in_few_modes
+    marks, theta = (
+        found_on([joined_marks(reading)], [0]),
+        priors_of(optics, reading.image_size).mean,
+    )
+    known = any(getattr(optics, name) for name in BoardKnown.__annotations__)
+    view = posed_boards(theta, optics.port, marks) if known else None
+    if view is not None:
+
+        def by_board(image_px: Floats) -> Floats:
+            moved = board_modes(sheet_of(view), optics, plane_map.region, image_px)
+            return moved.reshape(len(image_px), -1)
+
+        table = pixel_table(by_board, plane_map.region)
+        other._board = table.look_up if table else by_board
+    return other
 
 
 def _lattice(region: Region) -> Floats:

@@ -638,7 +638,10 @@ def _map_of(
     middle = (np.array(image_size, dtype=float) - 1) / 2
     view = SheetView(used.fit.boards.theta[:COUNT], optics.port, plane.q_per_mm, middle)
     view = replace(view, origin_px=_origin_px(view, np.vstack(on_lines)))
-    solved = metric_map(view, plane.root, region_around(np.vstack([marks, *on_lines])))
+    # All distances go with the scale of the boards.
+    by_scale = np.append(np.zeros(COUNT), plane.q_per_mm * optics.board_scale_percent / 100)
+    root = np.column_stack([plane.root, by_scale])
+    solved = metric_map(view, root, region_around(np.vstack([marks, *on_lines])))
     return with_medium(solved, optics)
 
 

@@ -10,7 +10,7 @@ import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
-from planeviews import View, paper_board, read_board
+from planeviews import EXACT_BOARD, View, paper_board, read_board
 from scipy.spatial.transform import Rotation
 
 from lscan.calibration.calibrate import calibrate
@@ -182,7 +182,12 @@ def test_the_same_statement_moves_nothing(solved: Refractive) -> None:
 
 
 TAP, SEA = 1.3313, 1.3390
-KNOWN = {"focal_px": (850.0, 80.0), "gap_mm": (11.0, 3.0), "thickness_mm": (6.0, 0.3)}
+KNOWN = {
+    "focal_px": (850.0, 80.0),
+    "gap_mm": (11.0, 3.0),
+    "thickness_mm": (6.0, 0.3),
+    **EXACT_BOARD,
+}
 SAID: dict[str, dict[str, Any]] = {
     "measured": {"water_index": (TAP, 2e-4)}, "vague": {"water_index": (1.333, 0.003)}, "none": {},
 }  # fmt: skip

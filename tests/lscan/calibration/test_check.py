@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
-from planeviews import BARREL, View, paper_board, read_board, with_noise
+from planeviews import BARREL, EXACT_BOARD, View, paper_board, read_board, with_noise
 from scipy import stats
 
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.calibration.check import CalibrationCheck, check_calibration
 from lscan.calibration.offsheet import Motion, closest_motion, fit_similarity
+from lscan.config.rig import OpticsSection
 from lscan.errors import InputError, MeasurementError
 from lscan.records import BoardReading, Floats
 
@@ -44,7 +45,7 @@ class OffSheet(View):
 
 @cache
 def _calibration(name: str) -> Calibration:
-    return calibrate(_reading(BARREL, 1), name)
+    return calibrate(_reading(BARREL, 1), name, OpticsSection(**EXACT_BOARD))
 
 
 def _reading(view: View, seed: int) -> BoardReading:

@@ -9,7 +9,7 @@ import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 from metricviews import SIZE, known, paper_rig, poses, views_of
-from planeviews import BARREL, View, paper_board, read_board
+from planeviews import BARREL, EXACT_BOARD, View, paper_board, read_board
 
 from lscan.calibration import physical
 from lscan.calibration.calibrate import Calibration, calibrate
@@ -44,6 +44,7 @@ KNOWN = OpticsSection(
     thickness_mm=(6.0, 0.1),
     glass_index=(1.49, 0.001),
     water_index=(1.331, 0.0002),
+    **EXACT_BOARD,
 )
 
 

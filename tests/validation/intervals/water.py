@@ -16,7 +16,7 @@ from lscan.calibration.calibrate import calibrate
 from lscan.calibration.check import in_water_of
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.metric.views import CalibrationView, LinePoints
-from lscan.calibration.physical import PhysicalMap
+from lscan.calibration.physical import BoardKnown, PhysicalMap
 from lscan.camera import CameraModel, PortModel, project
 from lscan.config.rig import Known, OpticsSection
 from lscan.records import BoardReading, Floats, Status
@@ -29,6 +29,7 @@ FOCAL_PX, GAP_MM, GLASS_MM, GLASS = (850.0, 40.0), (11.0, 3.0), (6.0, 0.3), (1.4
 TILT_DEG = 2.0  # what [optics] says where it is not stated
 UNKNOWN: Known = (1.333, 0.003)  # likewise of the water
 SIGMA = 2e-4  # of an index that was measured, by two degrees or a psu
+EXACT_BOARD: dict[str, Any] = dict.fromkeys(BoardKnown.__annotations__, 0.0)  # as they are drawn
 WATERS = (1.3313, 1.3327, 1.3360, 1.3390)  # fresh of 20 and 5 C, brackish, sea
 VIEWS = 9
 Statement = Literal["measured", "vague", "none"]
@@ -85,7 +86,7 @@ def stated_optics(water: Known | None) -> OpticsSection:
     """
     return OpticsSection(
         focal_px=FOCAL_PX, gap_mm=GAP_MM, thickness_mm=GLASS_MM, glass_index=GLASS,
-        water_index=water,
+        water_index=water, **EXACT_BOARD,
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
-from planeviews import BARREL, View, affine, board_points, paper_board, read_board
+from planeviews import BARREL, EXACT_BOARD, View, affine, board_points, paper_board, read_board
 
 from lscan.calibration import calibrate as crossvalidation
 from lscan.calibration.calibrate import Calibration, Score, calibrate, deal, resolve, try_maps
@@ -19,6 +19,7 @@ from lscan.calibration.maps import auto
 from lscan.calibration.maps.auto import Auto, best_first, calibrate_best
 from lscan.calibration.marks import without
 from lscan.calibration.planemap import NamedSolver, find_solver
+from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import BoardReading, Floats, Marks, RulerReading
 
@@ -40,7 +41,7 @@ def _reading(seed: int = 1, noise_px: float = NOISE_PX) -> BoardReading:
 @cache
 def _best() -> Auto:
     """The best of the three for the reading, under the fixture ``quick``."""
-    return auto.solver.solve(_reading(), "")
+    return auto.solver.solve(_reading(), "", OpticsSection(**EXACT_BOARD))
 
 
 @cache
