@@ -74,7 +74,7 @@ def test_a_sheet_that_slow_errors_move_is_found_with_its_uncertainty(rho: float)
     z, pixels = [], np.array([[260.0, 210.0], [380.0, 270.0]])
     for seed in range(3):
         rng = np.random.default_rng(seed)
-        views = [wandering(view, rng, rho) for view in noisy_views(rng, 8, 0.01)]
+        views = [wandering(view, rng, rho) for view in noisy_views(rng, 5, 0.01)]
         found = calibrate_metric(views, known(RIG), SIZE).plane_map
         places = found.to_plane(pixels)
         truth = replace(RIG.truth, origin_px=found.origin_px).locate(pixels)
@@ -93,6 +93,7 @@ def test_a_bent_board_does_not_spoil_the_focal_length(common: bool) -> None:
         views = views_of(RIG, boards, bends_of(rng, 6, common))
         noisy = [replace(with_noise(view, NOISE_PX, rng), line=None) for view in views]
         found = calibrate_camera(noisy, known(RIG), SIZE)
+        assert found.misfit == ""
         z.append((found.theta[0] - 850.0) / found.sigma[0])
     assert np.sqrt(np.mean(np.square(z))) < 1.8
 
@@ -105,12 +106,12 @@ def fisheye_px(points_mm: Floats) -> Floats:
 
 
 def fisheye_views(
-    rng: np.random.Generator, distance_mm: float, aside: float
+    rng: np.random.Generator, distance_mm: float, aside: float, count: int = 8
 ) -> list[CalibrationView]:
     """Marks of boards all round the axis of a fisheye; aside: of their distance."""
     views = []
-    for number, pose in enumerate(poses(RIG, rng, 8)):
-        side = np.pi / 4 * number
+    for number, pose in enumerate(poses(RIG, rng, count)):
+        side = 2 * np.pi / count * number
         out = aside * np.array([np.cos(side), 0.8 * np.sin(side)])
         place = distance_mm * np.array([*out, 1.0])
         marks = marks_of(RIG, pose)
@@ -125,7 +126,7 @@ def fisheye_views(
 def test_a_fisheye_is_refused_by_name() -> None:
     """What its lens bends at 45 degrees, and 70 at the boards' rims, no radial polynomial does."""
     with pytest.raises(MeasurementError, match=r"px rms off.*it has none of a fisheye"):
-        calibrate_camera(fisheye_views(np.random.default_rng(1), 150.0, 1.0), known(RIG), SIZE)
+        calibrate_camera(fisheye_views(np.random.default_rng(1), 150.0, 1.0, 5), known(RIG), SIZE)
 
 
 def test_a_lens_a_little_beside_the_model_is_named() -> None:
@@ -134,8 +135,6 @@ def test_a_lens_a_little_beside_the_model_is_named() -> None:
     found = calibrate_camera(views, known(RIG), SIZE)
     assert "times as far off" in found.misfit and "fisheye" in found.misfit
     assert abs(found.theta[0] - 290.0) < 3 * found.sigma[0]
-    sound = calibrate_camera(noisy_views(np.random.default_rng(3)), known(RIG), SIZE)
-    assert sound.misfit == ""
 
 
 @pytest.mark.slow  # three searches
