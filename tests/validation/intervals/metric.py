@@ -72,25 +72,28 @@ def metric_rows(quick: bool) -> list[Row]:
 
 def _rows(count: int) -> Iterator[Row]:
     for what, drawn in KINDS.items():
-        held, refused = [], 0
+        held, refused = list[list[bool]](), 0
         for number in range(count):
             rng = np.random.default_rng([SEED, number])
             views = drawn(rng, int(rng.integers(FEWEST, MOST + 1)))
             try:
-                held += _held(views)
+                held.append(_held(views))
             except MeasurementError:
                 refused += 1
-        share = float(np.mean(held)) if held else COVER
-        low, high = binomtest(sum(held), max(len(held), 1)).proportion_ci(method="wilson")
+        # What a set's camera is off by moves all of its numbers: sets count, not numbers.
+        sets = len(held)
+        share = float(np.mean(np.concatenate(held))) if held else COVER
+        low, high = binomtest(round(share * sets), max(sets, 1)).proportion_ci(method="wilson")
         yield row(
             "metric-intervals",
             100 * abs(share - COVER),
             seed=SEED,
+            sigma=100 * np.sqrt(COVER * (1 - COVER) / max(sets, 1)),
             what=what,
             percent=100 * share,
             low=100 * low,
             high=100 * high,
-            count=len(held),
+            count=sum(map(len, held)),
             refused=refused,
             sets=count,
         )
@@ -121,7 +124,11 @@ def _boards(common: bool | None, water: bool) -> Callable[[np.random.Generator, 
         truth = {"focal_px": rig.camera.focal_px}
         if rig.camera.port is not None:
             truth["water_index"] = rig.camera.port.water_index
-        return ViewSet(noisy, known(rig, INDEX_SIGMA), truth, rig)
+        optics = known(rig, INDEX_SIGMA)
+        if rig.camera.port is not None:  # what is stated errs as it says
+            stated = rig.camera.port.water_index + INDEX_SIGMA * rng.standard_normal()
+            optics = optics.model_copy(update={"water_index": (stated, INDEX_SIGMA)})
+        return ViewSet(noisy, optics, truth, rig)
 
     return drawn
 
