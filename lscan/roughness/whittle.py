@@ -211,7 +211,8 @@ def _half_wavenumbers(shape: tuple[int, ...], cell_cm: float) -> tuple[Floats, F
 def _chosen(shape: tuple[int, ...], band: Band, cell_cm: float, known: Known | None) -> Mask:
     y, x = _half_wavenumbers(shape, cell_cm)
     size, end = np.hypot(y, x), np.pi / cell_cm * (1 - 1e-9)
-    chosen = (size >= band.low_per_cm) & (size <= band.high_per_cm)
+    # Rounding, which is another in other units, does not choose among those on the band's ends.
+    chosen = (size >= band.low_per_cm * (1 - 1e-9)) & (size <= band.high_per_cm * (1 + 1e-9))
     chosen &= (y > 0) | (x > 0)
     chosen &= (np.abs(x) < end) & (y < end)
     return chosen if known is None else chosen & known(y, x)
@@ -244,6 +245,7 @@ SHARE_OF_NYQUIST = 0.8
 """Of the shortest: beyond, what lies above Nyquist's wavenumber folds in."""
 TURNING = 3.3
 """Exponent from which on the Laplacian leaves less steepness than first differences do."""
+TOO_STEEP = 5.0  # for first differences, which leak, and whose covariances then cancel to noise
 BEGIN = 3.0  # spectral exponent where the search begins: the middle of what is found on seabeds
 SIMULATED_PADDING = 2
 SIMULATED = 400  # patches: J's variances are then known to 7 %
@@ -545,7 +547,7 @@ class _Likelihood:
                     break
                 step = step / 2
             theta, size, expected = theta + step, found, there
-            if np.abs(step).max() < CLOSE:
+            if np.abs(step).max() < CLOSE or (theta[1] > TOO_STEEP and not self.second):
                 return theta
         raise MeasurementError("roughness: no power law makes the patch most likely")
 

@@ -22,6 +22,7 @@ COLUMNS, ROWS, PITCH_MM = 8, 6, 25.0
 LINE_POINTS = 80
 VIEWS = 8
 STATED_PX = 0.02  # uncertainty that exact marks and lines state of themselves
+SCATTER_PX, FISHEYE_PX, SLAB_MM = 80.0, 290.0, 260.0
 
 
 @dataclass(frozen=True)
@@ -188,4 +189,78 @@ def with_noise(view: CalibrationView, sigma_px: float, rng: np.random.Generator)
         view,
         marks=replace(marks, image_px=shaken, sigma_px=np.full(len(shaken), sigma_px)),
         line=replace(line, image_px=moved, sigma_px=np.full(len(moved), sigma_px)),
+    )
+
+
+def scattered(
+    view: CalibrationView, rng: np.random.Generator, count: int = LINE_POINTS
+) -> CalibrationView:
+    """The view with so many points all over SCATTER_PX to either side in its line's place."""
+    assert view.line is not None
+    line, some = view.line, np.linspace(0, len(view.line.image_px) - 1, count).astype(int)
+    off = rng.uniform(-SCATTER_PX, SCATTER_PX, (count, 1)) * line.across
+    return replace(
+        view,
+        line=replace(line, image_px=line.image_px[some] + off, sigma_px=line.sigma_px[some]),
+    )
+
+
+def fisheye_px(points_mm: Floats) -> Floats:
+    """(N, 2) px at which an equidistant fisheye of FISHEYE_PX sees points of the camera frame."""
+    across = np.hypot(*points_mm[:, :2].T)
+    radius = FISHEYE_PX * np.arctan2(across, points_mm[:, 2])
+    return (np.array(SIZE) - 1) / 2 + points_mm[:, :2] * (radius / across)[:, None]
+
+
+def fisheye_views(
+    rng: np.random.Generator, count: int, near_mm: float, aside: float, noise_px: float
+) -> list[CalibrationView]:
+    """Boards in a sheet, all round the axis of a fisheye; aside: so far of their distance."""
+    rig = paper_rig(water=False)
+    q_per_mm = rig.q_per_mm * 1000 / near_mm
+    middle = np.array([COLUMNS - 1, 1 - ROWS]) * PITCH_MM / 2
+    views = []
+    for number, pose in enumerate(poses(rig, rng, count)):
+        side = 2 * np.pi * number / count
+        x, y = near_mm * aside * np.array([np.cos(side), 0.8 * np.sin(side)])
+        place = np.array([x, y, (1 - q_per_mm[:2] @ [x, y]) / q_per_mm[2]])
+        marks = marks_of(rig, pose)
+        local = (marks.board_mm - middle) * [1.0, -1.0]
+        along = np.cross(pose.rotation[:, 2], q_per_mm)
+        reach = np.linspace(-60, 60, LINE_POINTS)[:, None] * along / np.linalg.norm(along)
+        line_px = fisheye_px(place + reach)
+        marks = replace(marks, image_px=fisheye_px(local @ pose.rotation[:, :2].T + place))
+        level = np.ptp(line_px[:, 0]) >= np.ptp(line_px[:, 1])
+        sigma = np.full(LINE_POINTS, noise_px)
+        line = LinePoints(line_px, sigma, "columns" if level else "rows")
+        views.append(with_noise(CalibrationView(f"{number}", marks, line), noise_px, rng))
+    return views
+
+
+def slab_views(
+    rng: np.random.Generator, count: int, near_mm: float, noise_px: float
+) -> tuple[Rig, list[CalibrationView]]:
+    """Boards in air through SLAB_MM of glass, tilted by 10 degrees to any side."""
+    side = rng.uniform(0, 2 * np.pi)
+    port = PortModel(20.0, SLAB_MM, 1.49, 1.0, *(10 * np.array([np.cos(side), np.sin(side)])))
+    camera = CameraModel(700.0, (319.5, 239.5), -0.1, 0.02, port=port)
+    rig, views = Rig(camera, paper_rig().q_per_mm * 1000 / near_mm), []
+    for number, pose in enumerate(poses(rig, rng, count)):
+        x, y = rng.uniform(-1, 1, 2) * [0.15, 0.1] * near_mm
+        place = np.array([x, y, (1 - rig.q_per_mm[:2] @ [x, y]) / rig.q_per_mm[2]])
+        there = Pose(pose.rotation, place)
+        view = CalibrationView(f"{number}", marks_of(rig, there), line_of(rig, there))
+        views.append(with_noise(view, noise_px, rng))
+    return rig, views
+
+
+def slab_known(thickness_mm: float, sigma_mm: float) -> OpticsSection:
+    """What is known of a slab whose thickness is guessed, and its tilt not even that."""
+    return OpticsSection(
+        gap_mm=(20.0, 0.0),
+        thickness_mm=(thickness_mm, sigma_mm),
+        glass_index=(1.49, 0.0),
+        water_index=(1.0, 0.0),
+        tilt_x_deg=(0.0, 20.0),
+        tilt_y_deg=(0.0, 20.0),
     )

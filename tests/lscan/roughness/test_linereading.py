@@ -8,7 +8,7 @@ import pytest
 from lscan.config.rig import NoiseSection, SheetSection, StripeSection, load_rig
 from lscan.errors import InputError
 from lscan.records import Status, Surface
-from lscan.roughness import ScannerResponse, line_reading, response_of
+from lscan.roughness import ScannerResponse, instrument, line_reading, response_of
 from lscan.roughness.instrument import AMPLITUDE_PX, corrected_blur_px
 from lscan.surface.sheetresponse import transfer
 
@@ -20,6 +20,7 @@ SPECKLED = StripeSection(
 SHEET = SheetSection(thickness_mm=1.5, camera_mm=(20.0, -800.0, 300.0), apex_mm=(20.0, 0.0, 250.0))
 
 
+@pytest.mark.usefixtures("few_lines")
 def test_the_whole_line_s_centroid_is_read_as_its_closed_form() -> None:
     """But for the waves' own size: a line moves in their cosine by the even terms beside it, whose
     first, of steepness s = size AMPLITUDE_PX / SHEET_PX, is s² / 8 of it (Bessel's J1)."""
@@ -29,6 +30,12 @@ def test_the_whole_line_s_centroid_is_read_as_its_closed_form() -> None:
     np.testing.assert_allclose(found.gain, closed, atol=off)
     between = np.array([-0.33, 1.27])
     np.testing.assert_allclose(found.at(between), transfer(between / (2 * np.pi), 1.0), atol=off)
+
+
+@pytest.fixture
+def few_lines(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A quarter of the lines for each wave: what is compared has as many."""
+    monkeypatch.setattr(instrument, "COLUMNS", 12)
 
 
 @pytest.mark.slow
@@ -44,6 +51,7 @@ def test_a_fit_under_speckle_heeds_the_skirts() -> None:
     assert under.gain[0] == pytest.approx(1.0, abs=1e-3)  # a line that moves as a whole
 
 
+@pytest.mark.usefixtures("few_lines")
 def test_no_line_and_no_length_are_refused() -> None:
     with pytest.raises(InputError, match="finds no line"):
         line_reading(StripeSection(), SHEET_PX, BLUR_PX, 5.0)
@@ -62,6 +70,7 @@ def scanned() -> Surface:
     return Surface(xyz, 0 * x, 0 * x + 0.05, status, y[:, 0], "head")
 
 
+@pytest.mark.usefixtures("few_lines")
 def test_a_rig_says_the_response_at_its_surface(scanned: Surface) -> None:
     """Sines and pixels by hand: sheet 0.75 mm, of which 600 / 1000 across the line of sight."""
     rig = load_rig("paper/board").rig.model_copy(

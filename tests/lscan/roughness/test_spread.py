@@ -60,23 +60,23 @@ def test_a_single_wave_has_none(heading, missing, seed):
     [(0.08, 4.0), *(pytest.param(*s, marks=pytest.mark.slow) for s in ((0.12, 8.0), (0.05, 10.0)))],
 )
 def test_the_spread_is_that_of_the_spectrum(along, across_deg):
-    """The mean of 16 fields.
+    """The mean of 8 fields.
 
     A field of 12 waves has 12 independent values along each axis for each wavenumber: a peak of a
     standard deviation s holds about 4 pi (12 s)(12 s') of them, 13 at least, whose variances are
-    known to sqrt(2 / 13) of themselves, deviations to half of that; a sixteenth's root of it is
-    5 %, of which three are allowed for.
+    known to sqrt(2 / 13) of themselves, deviations to half of that; an eighth's root of it is
+    7 %, of which three are allowed for.
     """
     heading = 30.0
     found = []
-    for seed in range(8):
+    for seed in range(4):
         rng = np.random.default_rng([5, seed])
         density = _peak(heading, along, across_deg)
         for z in random_fields(density, SHAPE, (CELL_CM, CELL_CM), 2, rng):
             spread = _found(z, heading)
             found.append([spread.relative, np.radians(spread.heading_deg)])
     mean = np.sqrt((np.array(found) ** 2).mean(axis=0))
-    np.testing.assert_allclose(mean, [along, np.radians(across_deg)], rtol=0.15)
+    np.testing.assert_allclose(mean, [along, np.radians(across_deg)], rtol=0.21)
 
 
 @pytest.mark.parametrize("cells", [8.0, 10.0, 10.07, 12.5])

@@ -14,17 +14,17 @@ from lscan.records import Floats, Mask
 from lscan.roughness import Band, PowerLaw, PowerLawFit, ScannerResponse, fit_power_law
 from lscan.roughness.instrument import LAW_ENDS, FoldedPower
 from lscan.roughness.patch import Patch, wavenumbers
-from lscan.roughness.whittle import CovarianceSum, differences_of
+from lscan.roughness.whittle import CovarianceSum, differences_of, most_likely_law
 
 CELL_CM = 0.1
 SIDE = 48
-FEW = 60  # simulated patches: for tests that do not look at the intervals
+FEW = 40  # simulated patches: for tests that do not look at the intervals
 fit = partial(fit_power_law, simulated=FEW)
 
 
 def field(seed: int) -> Patch:
     law = PowerLaw(3.0, 0.004)
-    seen = holes((SIDE, SIDE), 0.1, seed)
+    seen = holes((32, 32), 0.1, seed)
     return patch(drawn(law, seen.shape, CELL_CM, seed)[0], seen, CELL_CM)
 
 
@@ -32,7 +32,7 @@ def field(seed: int) -> Patch:
 def test_the_periodogram_has_its_expectation(gamma2: float) -> None:
     """With a tenth of the cells missing, in every quarter of the band and in all of it.
 
-    The mean over 300 fields of a quarter's values over their expectations is 1 to 4 standard
+    The mean over 160 fields of a quarter's values over their expectations is 1 to 4 standard
     errors; whole leakage of the holes would put it off by factors.
     """
     law, seen = PowerLaw(gamma2, 0.004), holes((SIDE, SIDE), 0.1, 3)
@@ -42,7 +42,7 @@ def test_the_periodogram_has_its_expectation(gamma2: float) -> None:
     cells = covariance.of(law.density(*covariance.plane))
     expected = np.concatenate([part.expected(cells) for part in parts])
     ratios = []
-    for seed in range(150):
+    for seed in range(80):
         for z in drawn(law, seen.shape, CELL_CM, seed):
             z = np.where(seen, z, 0.0)
             ratios.append(np.concatenate([part.periodogram(z) for part in parts]) / expected)
@@ -69,14 +69,14 @@ def test_the_law_goes_with_the_units(seed: int, times: float, longer: float) -> 
 
 def test_slope_and_what_lies_in_holes_are_not_seen() -> None:
     one = field(1)
-    first = fit(one).law
+    first = most_likely_law(one)
     y, x = np.indices(one.z_cm.shape) * CELL_CM
-    leaning = fit(Patch(one.z_cm + 5.0 + 0.3 * y - 0.7 * x, one.seen, CELL_CM)).law
+    leaning = most_likely_law(Patch(one.z_cm + 5.0 + 0.3 * y - 0.7 * x, one.seen, CELL_CM))
     filled, unknown = (
-        fit(Patch(np.where(one.seen, one.z_cm, value), one.seen, CELL_CM)).law
+        most_likely_law(Patch(np.where(one.seen, one.z_cm, value), one.seen, CELL_CM))
         for value in (99.0, np.nan)
     )
-    turned = fit(Patch(one.z_cm.T, one.seen.T, CELL_CM)).law
+    turned = most_likely_law(Patch(one.z_cm.T, one.seen.T, CELL_CM))
     assert filled == first == unknown
     with pytest.raises(MeasurementError, match="1 cells that are seen have no height"):
         Patch(np.where(np.arange(one.z_cm.size).reshape(one.z_cm.shape), one.z_cm, np.nan),
@@ -89,7 +89,7 @@ def test_slope_and_what_lies_in_holes_are_not_seen() -> None:
 def test_a_stretched_law_is_found() -> None:
     """Within 4 of its own standard uncertainties; the patch turned by 90 degrees turns it."""
     law = PowerLaw(3.0, 0.004, (0.4, 0.3))
-    z, _ = drawn(law, (SIDE, SIDE), CELL_CM, 5)
+    z, _ = drawn(law, (40, 40), CELL_CM, 5)
     found = fit(whole(z, CELL_CM), stretched=True)
     sigma = np.sqrt(np.diag(found.covariance))
     theta = [np.log(found.law.w2_cm4), found.law.gamma2, *found.law.stretch]
@@ -154,8 +154,8 @@ def test_no_law_is_one_clear_error(
     along_y: float, along_x: float, noise_cm2: float, stretched: bool
 ) -> None:
     rng = np.random.default_rng(0)
-    z = along_y * rng.normal(0, 0.01 if noise_cm2 else 1.0, (40, 1)) + along_x * rng.normal(
-        size=(40, 40)
+    z = along_y * rng.normal(0, 0.01 if noise_cm2 else 1.0, (24, 1)) + along_x * rng.normal(
+        size=(24, 24)
     )
     with pytest.raises(MeasurementError, match="no power law makes the patch most likely"):
         fit(patch(z, None, CELL_CM, noise_cm2), stretched=stretched)
@@ -185,12 +185,11 @@ def test_what_sampling_folds_in_is_the_sum_over_all_that_cells_confuse(gamma2: f
 def test_a_law_that_goes_on_beyond_the_grid_is_within_its_intervals() -> None:
     """Drawn 8 times finer, a square missing: law within 3 sigmas, most rings within their limits.
 
-    Of 80 rings 68 hold, or more: of 76 that are to, fewer do once in 1,000 even though some go
-    together.
+    Of 40 rings 32 hold, or more: of 38 that are to, fewer do once in 1,000.
     """
     law, seen, held = PowerLaw(2.5, 0.004), np.ones((SIDE, SIDE), dtype=bool), list[bool]()
     seen[20:32, 8:20] = False
-    for z in (*drawn(law, seen.shape, CELL_CM, 1, 8), *drawn(law, seen.shape, CELL_CM, 2, 8)):
+    for z in drawn(law, seen.shape, CELL_CM, 1, 8):
         found = fit(patch(z, seen, CELL_CM))
         assert abs(found.law.gamma2 - 2.5) < 3 * found.sigma_gamma2
         assert abs(10 * np.log10(found.law.w2_cm4 / 0.004)) < 3 * found.sigma_w2_db
@@ -200,7 +199,7 @@ def test_a_law_that_goes_on_beyond_the_grid_is_within_its_intervals() -> None:
         assert stated[:-3].all()
         assert not stated[-2:].any()  # more than half of them is folded in
         held += inside[stated].tolist()
-    assert np.mean(held) > 0.85
+    assert np.mean(held) >= 0.8
 
 
 def test_a_lack_of_fit_widens_the_intervals() -> None:

@@ -37,6 +37,7 @@ from lscan.files.pictures import encode_picture, read_picture, write_picture
 from lscan.records import BoardReading, Bytes, Floats, Marks
 
 CHESSBOARD = '[board]\nkind = "chessboard"\ncolumns = 8\nrows = 6\nsquare_mm = 25.0\n'
+KNOWN_BOARDS: dict[Any, Marks] = {}
 
 
 @pytest.fixture(scope="module")
@@ -188,6 +189,18 @@ def drawn(camera: CameraModel, rotation: Floats, place: Floats) -> Bytes:
                 cv2.fillConvexPoly(image, pixels(square), 20, shift=4)
     small = cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA)
     return np.repeat(small[:, :, None], 3, axis=2)
+
+
+@pytest.fixture(autouse=True)
+def boards_of_the_same_picture_are_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    def remembered(picture: Bytes, *kind: Any) -> Marks:
+        key = picture.tobytes(), kind
+        if key not in KNOWN_BOARDS:
+            KNOWN_BOARDS[key] = read(picture, *kind)
+        return KNOWN_BOARDS[key]
+
+    read = viewsfile.read_chessboard
+    monkeypatch.setattr(viewsfile, "read_chessboard", remembered)
 
 
 def write_pictures(folder: Path) -> Path:

@@ -19,7 +19,7 @@ def shifted(line: LinePoints, by_px: float) -> LinePoints:
 
 def noisy_views(seed: int, noise: float = 0.02) -> list[CalibrationView]:
     rig, rng = paper_rig(), np.random.default_rng(seed)
-    return [with_noise(view, noise, rng) for view in views_of(rig, poses(rig, rng))]
+    return [with_noise(view, noise, rng) for view in views_of(rig, poses(rig, rng, 6))]
 
 
 def test_a_line_off_the_sheet_is_named_and_left_out() -> None:
@@ -113,7 +113,7 @@ def test_lines_in_one_line_of_space_are_refused() -> None:
 
 def test_a_board_nearly_in_the_sheet_is_named() -> None:
     rig, rng = paper_rig(), np.random.default_rng(7)
-    boards = poses(rig, rng)
+    boards = poses(rig, rng, 5)
     normal = rig.q_per_mm / np.linalg.norm(rig.q_per_mm)
     lean = np.radians(4.0)
     up = np.array([0.0, normal[2], -normal[1]])
@@ -122,8 +122,8 @@ def test_a_board_nearly_in_the_sheet_is_named() -> None:
     lying = Pose(np.column_stack([along, np.cross(away, along), away]), boards[0].place_mm)
     views = [with_noise(view, 0.02, rng) for view in views_of(rig, [*boards, lying])]
     found = calibrate_metric(views, known(rig), SIZE)
-    assert found.views[8].used and not found.views[8].line_used
-    assert "deg from the sheet" in found.views[8].reason
+    assert found.views[5].used and not found.views[5].line_used
+    assert "deg from the sheet" in found.views[5].reason
 
 
 def glared(view: CalibrationView, rng: np.random.Generator) -> CalibrationView:
@@ -156,7 +156,7 @@ def test_half_of_the_lines_wrong_by_glare_are_named_and_left_out(seed: int) -> N
 
 def test_the_plane_does_not_depend_on_the_order_of_the_views() -> None:
     rig, rng = paper_rig(), np.random.default_rng(14)
-    views = [with_noise(view, 0.05, rng) for view in views_of(rig, poses(rig, rng))]
+    views = [with_noise(view, 0.05, rng) for view in views_of(rig, poses(rig, rng, 7))]
     views = [glared(view, rng) if k % 2 else view for k, view in enumerate(views)]
     order = rng.permutation(len(views)).tolist()
     one = calibrate_metric(views, known(rig), SIZE)

@@ -40,7 +40,7 @@ def grid_px() -> Floats:
 @examples(2)
 @given(rig=rigs(water=False), seed=SEEDS)
 def test_exact_marks_give_the_camera_and_the_sheet(rig: Rig, seed: int) -> None:
-    boards = poses(rig, np.random.default_rng(seed))
+    boards = poses(rig, np.random.default_rng(seed), 5)
     found = calibrate_metric(views_of(rig, boards), known(rig), SIZE)
     # Priors 1e4 wide draw on k1 and k2 by (uncertainty from the marks / 1e4)^2 < 1e-8 of them.
     np.testing.assert_allclose(
@@ -58,7 +58,7 @@ def test_exact_marks_give_the_camera_and_the_sheet(rig: Rig, seed: int) -> None:
 @examples(2)
 @given(rig=rigs(water=True), seed=SEEDS)
 def test_exact_marks_through_a_known_port_give_the_map(rig: Rig, seed: int) -> None:
-    boards = poses(rig, np.random.default_rng(seed))
+    boards = poses(rig, np.random.default_rng(seed), 5)
     found = calibrate_metric(views_of(rig, boards), known(rig), SIZE)
     assert found.rms_px < 1e-5
     np.testing.assert_allclose(found.plane_map.view.theta[0], rig.truth.theta[0], rtol=1e-6)
@@ -103,36 +103,34 @@ def test_errors_are_as_large_as_sigma_says() -> None:
 
 def test_sigma_grows_with_the_noise() -> None:
     rig, rng = paper_rig(), np.random.default_rng(2)
-    exact = views_of(rig, poses(rig, rng))
+    exact = views_of(rig, poses(rig, rng, 4))
     sigma = []
-    for noise in (0.01, 0.05, 0.25):
+    for noise in (0.01, 0.1):
         noisy = [with_noise(view, noise, np.random.default_rng(5)) for view in exact]
         found = calibrate_metric(noisy, known(rig), SIZE)
         sigma.append(found.plane_map.to_plane(grid_px()).sigma_mm.max())
-    # The same draw five times as large: the map is linear in it to a few per cent.
-    np.testing.assert_allclose(np.diff(np.log(sigma)), np.log(5.0), atol=0.2)
+    # The same draw ten times as large: the map is linear in it to a few per cent.
+    np.testing.assert_allclose(np.diff(np.log(sigma)), np.log(10.0), atol=0.3)
 
 
 def test_a_bad_view_is_named_and_the_others_stand() -> None:
     rig, rng = paper_rig(), np.random.default_rng(6)
-    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
-    without = calibrate_metric(views[:3] + views[4:], known(rig), SIZE)
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng, 5))]
+    without = calibrate_camera(views[:3] + views[4:], known(rig), SIZE)
     assert views[3].marks is not None
     u = views[3].marks.image_px[:, 0]
     bent = views[3].marks.image_px + np.column_stack([np.zeros(len(u)), 4 * np.sin(u / 20)])
     views[3] = replace(views[3], marks=replace(views[3].marks, image_px=bent))
-    found = calibrate_metric(views, known(rig), SIZE)
-    assert [view.used for view in found.views] == [number != 3 for number in range(8)]
+    found = calibrate_camera(views, known(rig), SIZE)
+    assert [view.used for view in found.views] == [number != 3 for number in range(5)]
     assert "px rms off what the other views say" in found.views[3].reason
-    np.testing.assert_allclose(
-        found.plane_map.view.theta, without.plane_map.view.theta, rtol=1e-6, atol=1e-8
-    )
+    np.testing.assert_allclose(found.theta, without.theta, rtol=1e-6, atol=1e-8)
 
 
 def test_a_view_that_fits_worse_than_the_others_is_named() -> None:
     """Marks 2.8 times as far off as usual: the view counts, but not in silence."""
     rig, rng = paper_rig(), np.random.default_rng(21)
-    exact = views_of(rig, poses(rig, rng))
+    exact = views_of(rig, poses(rig, rng, 6))
     views = [with_noise(view, 0.84 if k == 4 else 0.3, rng) for k, view in enumerate(exact)]
     # Each states what the others have: nothing in the picture says that it is worse.
     views = [
@@ -140,8 +138,8 @@ def test_a_view_that_fits_worse_than_the_others_is_named() -> None:
         for view in views
         if view.marks is not None
     ]
-    found = calibrate_metric(views, known(rig), SIZE)
-    assert [bool(view.reason) for view in found.views] == [number == 4 for number in range(8)]
+    found = calibrate_camera(views, known(rig), SIZE)
+    assert [bool(view.reason) for view in found.views] == [number == 4 for number in range(6)]
     assert found.views[4].used and "times the usual" in found.views[4].reason
 
 
@@ -162,7 +160,7 @@ def test_views_that_are_far_off_do_not_hide_one_another() -> None:
 
 def test_a_camera_alone_is_that_of_the_whole_calibration() -> None:
     rig, rng = paper_rig(), np.random.default_rng(23)
-    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng, 4))]
     alone = calibrate_camera([replace(v, line=None) for v in views], known(rig), SIZE)
     whole = calibrate_metric(views, known(rig), SIZE)
     np.testing.assert_array_equal(alone.theta, whole.plane_map.view.theta)
@@ -175,24 +173,24 @@ def test_a_camera_alone_is_that_of_the_whole_calibration() -> None:
 
 def test_wrong_marks_are_set_aside_and_counted() -> None:
     rig, rng = paper_rig(), np.random.default_rng(7)
-    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng, 4))]
     assert views[1].marks is not None
     wrong = views[1].marks.image_px.copy()
     wrong[[5, 20]] += [3.0, -2.0]
     views[1] = replace(views[1], marks=replace(views[1].marks, image_px=wrong))
-    found = calibrate_metric(views, known(rig), SIZE)
+    found = calibrate_camera(views, known(rig), SIZE)
     assert (found.views[1].marks_used, found.views[1].marks_found) == (46, 48)
     assert found.views[1].rms_px < 4 * 0.02
 
 
 def test_a_view_without_a_board_keeps_its_reason() -> None:
     rig, rng = paper_rig(), np.random.default_rng(8)
-    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng))]
+    views = [with_noise(view, 0.02, rng) for view in views_of(rig, poses(rig, rng, 4))]
     views.insert(2, CalibrationView("dark.png", None, None, "the board was not found: too dark"))
-    found = calibrate_metric(views, known(rig), SIZE)
+    found = calibrate_camera(views, known(rig), SIZE)
     assert not found.views[2].used
     assert found.views[2].reason == "the board was not found: too dark"
-    assert sum(view.used for view in found.views) == 8
+    assert sum(view.used for view in found.views) == 4
 
 
 def test_too_few_views_are_refused_with_their_reasons() -> None:
@@ -205,7 +203,7 @@ def test_too_few_views_are_refused_with_their_reasons() -> None:
 
 def test_boards_that_all_face_the_camera_are_refused() -> None:
     rig, rng = paper_rig(water=False), np.random.default_rng(10)
-    tilted = poses(rig, rng, 4)
+    tilted = poses(rig, rng, 3)
     # All at one distance: size and distance cannot be distinguished.
     facing = [Pose(np.eye(3), np.array([*pose.place_mm[:2], 1000.0])) for pose in tilted]
     views = [

@@ -26,7 +26,7 @@ PRINT_PX_MM = 4  # of the print drawn, some four times finer than the picture
 FINER = 3  # the picture is drawn on a raster three times finer than its own
 DARK, WHITE = 0.35, 0.9  # albedo of ink and paper
 LINE_SIGMA_PX = 1.5
-POSES = 6
+POSES, FEW = 6, 3
 CHARUCO = (
     f'[board]\nkind = "charuco"\ncolumns = {COLUMNS}\nrows = {ROWS}\nsquare_mm = {SQUARE_MM}\n'
     f'marker_mm = {MARKER_MM}\ndictionary = "DICT_4X4_50"\n'
@@ -100,17 +100,19 @@ def level_poses() -> list[Pose]:
     return [p for p, (x, y, _) in zip(drawn, along, strict=True) if abs(y) < abs(x)][:POSES]
 
 
-def found(folder: Path, kind: str, way: str) -> tuple[list[CalibrationView], list[Pose]]:
+def found(
+    folder: Path, kind: str, way: str, count: int = FEW
+) -> tuple[list[CalibrationView], list[Pose]]:
     """The views of a file whose line is shown in one of the ways; written and read."""
-    for name, content in files(kind, way).items():
+    for name, content in files(kind, way, count).items():
         (folder / name).write_bytes(content)
     views, size = read_views(load_views(folder / "views.toml"))
     assert size == SIZE
-    return views, level_poses()
+    return views, level_poses()[:count]
 
 
 @cache
-def files(kind: str, way: str) -> dict[str, bytes]:
+def files(kind: str, way: str, count: int) -> dict[str, bytes]:
     """The views file and its pictures, by name."""
     drawn: dict[str, bytes] = {}
 
@@ -121,7 +123,7 @@ def files(kind: str, way: str) -> dict[str, bytes]:
     text = (CHARUCO if kind == "charuco" else CHESSBOARD) + STRIPE
     if way == "same":  # a red line across a corner would draw it aside
         text = 'channel = "green"\n' + text
-    boards, rng, print_ = level_poses(), np.random.default_rng(6), printed(kind)
+    boards, rng, print_ = level_poses()[:count], np.random.default_rng(6), printed(kind)
     for number, pose in enumerate(boards):
         seen = albedo(print_, pose)
         text += "[[view]]\n"
@@ -145,7 +147,7 @@ def files(kind: str, way: str) -> dict[str, bytes]:
 )
 def test_board_and_line_are_where_they_are(tmp_path: Path, kind: str, way: str) -> None:
     views, boards = found(tmp_path, kind, way)
-    assert [view.fault for view in views] == [""] * POSES
+    assert [view.fault for view in views] == [""] * FEW
     for view, pose in zip(views, boards, strict=True):
         assert view.marks is not None and view.line is not None
         middle = view.marks.board_mm.min(axis=0) / 2 + view.marks.board_mm.max(axis=0) / 2
@@ -172,7 +174,7 @@ def test_board_and_line_are_where_they_are(tmp_path: Path, kind: str, way: str) 
 @pytest.mark.slow  # test_files.py has it by the command, of a chessboard
 def test_the_sheet_comes_out_of_a_printed_board(tmp_path: Path) -> None:
     """As test_files.py has it out of a chessboard."""
-    views, _ = found(tmp_path, "charuco", "pair")
+    views, _ = found(tmp_path, "charuco", "pair", POSES)
     solved = calibrate_metric(views, known(RIG), SIZE)
     assert all(view.used for view in solved.views)
     pixels = np.array([[260.0, 180.0], [380.0, 180.0], [320.0, 300.0]])
@@ -211,7 +213,7 @@ def test_a_line_that_is_not_there_is_a_fault_of_its_view(tmp_path: Path) -> None
     )
     write_picture(tmp_path / "lit2.png", dark)
     again, _ = read_views(load_views(tmp_path / "views.toml"))
-    assert [bool(view.fault) for view in again] == [number == 2 for number in range(POSES)]
+    assert [bool(view.fault) for view in again] == [number == 2 for number in range(FEW)]
     assert again[2].marks is not None and again[2].line is None
 
 
