@@ -1,6 +1,7 @@
 """Lines nearly parallel to the rows: what all their columns err by alike."""
 
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtr
@@ -47,7 +48,12 @@ def level_rows(quick: bool) -> list[Row]:
         )
         share = share_inside(ratios, np.ones_like(ratios)) if ratios.size else np.nan
         key = "level-intervals" if name == StripeSection().extractor else "level-shares"
-        words = {"extractor": name, "colours": colours, "lines": len(ratios), "phases": phases}
+        words: dict[str, Any] = {
+            "extractor": name,
+            "colours": colours,
+            "lines": len(ratios),
+            "phases": phases,
+        }
         figure = band_miss_percent(share)
         rows.append(row(key, figure, seed=0, percent=100 * share, **words))
     return rows
@@ -71,7 +77,7 @@ def exposure_rows(quick: bool) -> list[Row]:
         )
         key = "exposed-intervals" if name == StripeSection().extractor and not glow else "exposed"
         share = share_inside(ratios, np.ones_like(ratios)) if ratios.size else np.nan
-        words = {"extractor": name, "glow": 100 * glow, "lines": len(ratios)}
+        words: dict[str, Any] = {"extractor": name, "glow": 100 * glow, "lines": len(ratios)}
         rows.append(row(key, band_miss_percent(share), seed=0, percent=100 * share, **words))
     return rows
 
@@ -86,7 +92,8 @@ def _exposed_ratios(
     found, rows = [], np.arange(EXPOSED_HEIGHT)[:, None]
     for number in range(places):
         rng = np.random.default_rng([number, round(10 * width_px), round(times)])
-        centre = EXPOSED_HEIGHT / 2 + number / places + SLOPE * (np.arange(WIDTH) - WIDTH / 2)
+        aside_px = np.arange(WIDTH, dtype=float) - WIDTH / 2
+        centre = EXPOSED_HEIGHT / 2 + number / places + SLOPE * aside_px
         light = times * _line(centre, width_px, EXPOSED_HEIGHT)
         if speckle:
             light *= rng.gamma(speckle**-2, speckle**2, light.shape)
@@ -117,8 +124,9 @@ def level_ratios(
     noise_dn : float, DN, of reading
     phases : int, places of the line, even over two rows
     """
-    channel = "grey" if colours == MONO else "red"
-    settings = StripeSection(extractor=extractor, channel=channel, threshold_dn=15.0)
+    settings = StripeSection(
+        extractor=extractor, channel="grey" if colours == MONO else "red", threshold_dn=15.0
+    )
     column = np.arange(WIDTH) - WIDTH / 2
     found = []
     for number, phase in enumerate(np.linspace(0.0, 2.0, phases, endpoint=False)):
@@ -149,8 +157,9 @@ def _picture(
         grey = _with_noise(light + DARK_DN, noise_dn, rng)
     else:
         sensor = ColourFilter(colours, (HEIGHT, WIDTH))
-        mosaic = sensor.mosaic((light[..., None] * LEAK + DARK_DN).astype(np.float32))
-        grey = sensor.demosaic(_with_noise(mosaic, noise_dn, rng).astype(np.float32))
+        seen = sensor.mosaic((light[..., None] * LEAK + DARK_DN).astype(np.float32))
+        noisy = _with_noise(seen.astype(float), noise_dn, rng)
+        grey = sensor.demosaic(noisy.astype(np.float32)).astype(float)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
