@@ -35,7 +35,7 @@ _REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2
 independent values: the sum of their squared autocorrelations, 1, -15/20, 6/20 and -1/20."""
 
 _LAGS = (1, 2, 4, 8, 16)  # columns; a block of JPEG has 8, of its subsampled colours 16
-_SETTLED = 1.25  # ratio of the variances at a lag and the one before that is no growth
+_SETTLED = 1.25  # ratio of the greatest variance to one that is about as large
 _BEYOND_CHANCE = 4.0  # standard deviations
 _FEWEST_DIFFERENCES = 32  # third differences
 _WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
@@ -224,33 +224,28 @@ class LightMoments(NamedTuple):
     def shared_columns(self, stripe: Stripe) -> int:
         """Columns along which the pixels share their errors, 1 where each has its own.
 
-        The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
-        no more.  Where that is beyond 1 it is at least three widths of the line, over which some
-        extractors smooth along it; it is 1 too where none grows by more than chance, four standard
-        deviations of it.
+        The least lag, of 1, 2, 4, 8 and 16, at which the third differences of the line's width are
+        about as large as at any.  Where that is beyond 1 it is at least three widths of the line,
+        over which some extractors smooth along it; it is 1 too where none exceeds that at 1 by more
+        than chance, four standard deviations of it.
 
         Parameters
         ----------
         stripe : Stripe, px, as of :meth:`pieces`
         """
         run = np.where(np.isfinite(self.squared), self.pieces(stripe), -1)
-        growths: list[float] = []
-        by_chance, last = True, np.inf
+        found: dict[int, float] = {}
         for lag in _LAGS:
             values = _third_differences(self.squared, lag)[_in_one_piece(run, lag)]
-            if len(values) < _FEWEST_DIFFERENCES:
-                continue
-            scatter = robust_variance(values)
-            growths.append(scatter / max(last, np.finfo(float).tiny))
-            if len(growths) == 2 and growths[1] <= _SETTLED:
-                return 1
-            # Two variances are compared, each of as many values as the second has, or more.
-            by_chance &= growths[-1] <= 1 + _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))
-            last = scatter
-        if by_chance:
-            return 1
-        settled = int(np.append(np.array(growths[1:]) <= _SETTLED, True).argmax())
-        return max(_LAGS[settled], int(np.ceil(_WIDTHS * self.line_px)))
+            if len(values) >= _FEWEST_DIFFERENCES:
+                scatter = robust_variance(values)
+                # Two variances are compared, each of as many values as the second has, or more.
+                chance = _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))
+                if lag == 1 or scatter > (1 + chance) * found[1]:
+                    found[lag] = scatter
+        most = max(found.values(), default=0.0)
+        lag = next((lag for lag, scatter in found.items() if _SETTLED * scatter >= most), 1)
+        return 1 if lag == 1 else max(lag, int(np.ceil(_WIDTHS * self.line_px)))
 
 
 def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> list[LightMoments]:
