@@ -32,7 +32,7 @@ from lscan.stripe.peaks import (
     stripe_at,
     windows,
 )
-from lscan.stripe.picture import Noise, constant_variance, robust_variance, sample_of, stated_noise
+from lscan.stripe.picture import Noise, constant_variance, sample_of, stated_noise
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
 #
@@ -380,7 +380,6 @@ def _between(fit: LineFit, which: int, sample: Ints, count: int) -> Guess:
 
 
 _MISFIT_NEIGHBOURS = 31
-_FEWEST_TRIPLES = 16
 _FOREIGN = 3.0
 """Misfit of a column beyond which something other than noise is in it: chi-square over its
 degrees of freedom, a dozen at least, passes 3 by chance once in a thousand times."""
@@ -430,8 +429,8 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     Where that is a column's own and the noise is stated, as beside light that ends at the line, it
     also grows by as far as the line's crest alone lies from the whole line.
     SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the
-    noise by: unless that is stated, their sigma_px is at least what their centres scatter
-    from one column to the next.  NO_PEAK also where no line can be fitted.
+    noise by: unless that is stated, ``extract_stripe`` widens their sigma_px to what their centres
+    scatter (scatter.py).  NO_PEAK also where no line can be fitted.
 
     Parameters
     ----------
@@ -449,25 +448,9 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
 def _saturate(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The stripe with its clipped columns SATURATED."""
     saturated = clipped_near(stripe, clipped.T, settings.span_px)
-    status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
+    status = stripe.status.copy()
     status[saturated] = Status.SATURATED
-    if settings.noise is None:
-        sigma_px[saturated] *= _scatter(stripe, saturated)
-    return replace(stripe, status=status, sigma_px=sigma_px)
-
-
-def _scatter(stripe: Stripe, at: Ints) -> float:
-    """Scatter of the centres of the columns ``at`` over that by sigma_px, 1 at least.
-
-    By second differences, which take out the line's slope.  1 for fewer than 16 triples.
-    """
-    first = at[:-2][(at[2:] - at[:-2]) == 2]
-    if len(first) < _FEWEST_TRIPLES:
-        return 1.0
-    weights = np.array([1.0, -2.0, 1.0])
-    triples = first[:, None] + np.arange(3)
-    stated = np.sqrt((stripe.sigma_px[triples] ** 2) @ weights**2)
-    return max(float(np.sqrt(robust_variance(stripe.centre_px[triples] @ weights / stated))), 1.0)
+    return replace(stripe, status=status)
 
 
 def _crests(
