@@ -29,6 +29,7 @@ from lscan.stripe.peaks import (
     all_windows,
     clipped_near,
     nominal_peaks,
+    smoothed_crests,
     stripe_at,
     windows,
 )
@@ -178,7 +179,8 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
     rough = _rough_width(columns, peaks, noise.constant)
     if settings.line_width_px is not None:
         rough = np.full(len(rough), settings.line_width_px / FWHM)
-    peaks = _recentre(columns, peaks, float(np.median(rough)))
+    width_px = float(np.median(rough))
+    peaks = replace(peaks, rows=smoothed_crests(columns, peaks.columns, peaks.rows, width_px))
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:
         return stripe
@@ -290,21 +292,6 @@ def _above_ground(windows: Floats) -> Floats:
     left, right = np.median(windows[:, :end], axis=1), np.median(windows[:, -end:], axis=1)
     rise = np.clip((np.arange(n) - (end - 1) / 2) / (n - end), 0, 1)
     return windows - left[:, None] - (right - left)[:, None] * rise
-
-
-def _recentre(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
-    """The peaks moved to the brightest pixel of the line smoothed with its own width.
-
-    Noise and clipping move the brightest pixel about; this one stays near the centre.
-    """
-    search = int(np.ceil(1.5 * width_px)) + 1
-    kernel_reach = int(np.ceil(3 * width_px))
-    near = windows(columns, peaks.columns, peaks.rows, search + kernel_reach)
-    place = np.arange(-search, search + 1)[:, None]
-    pixel = np.arange(-search - kernel_reach, search + kernel_reach + 1)
-    kernel = np.exp(-0.5 * ((pixel - place) / width_px) ** 2)
-    kernel[np.abs(pixel - place) > kernel_reach] = 0
-    return replace(peaks, rows=peaks.rows + (near @ kernel.T).argmax(axis=1) - search)
 
 
 def _reach(width_px: Floats, settings: StripeSection) -> Floats:
