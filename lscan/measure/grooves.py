@@ -327,10 +327,8 @@ def segment_ends(
         common[falls] = FALSE_LIGHT * step
         if unknown_curve:
             curve = np.array([[-1.0], [1.0]]) * falls * CURVE * fit.width[0]
-    left, right = (
-        [End(*map(float, at[:3]), int(at[3]), float(at[4])) for at in zip(*side, strict=True)]
-        for side in zip(place, own, common, outermost, curve, strict=True)
-    )
+    both = np.stack([place, own, common, outermost, curve], axis=-1).tolist()
+    left, right = ([End(x, s, e, int(p), c) for x, s, e, p, c in side] for side in both)
     return list(zip(left, right, strict=True))
 
 

@@ -198,17 +198,20 @@ class LightMoments(NamedTuple):
     Attributes
     ----------
     line_px : float, px, the line's standard deviation across
-    scale_px : float, px, that of the Gaussian
     middle : (N,) array, px, first moment of the light; NaN where there is no line
     squared : (N,) array, the light's variance over that of the Gaussian, likewise
     flux : (N,) array, DN, the light
     """
 
     line_px: float
-    scale_px: float
     middle: Floats
     squared: Floats
     flux: Floats
+
+    @property
+    def scale_px(self) -> float:
+        """Standard deviation of the Gaussian, px."""
+        return max(self.line_px, _FINEST_PX)
 
     def pieces(self, stripe: Stripe) -> Ints:
         """(N,) number of the piece each column belongs to (peaks.py), -1 for none.
@@ -296,18 +299,18 @@ def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> li
     # With the factors that all weights have in common, the one of _moments too.
     flux = total * np.exp(-about * (about / 2 + max(reach)) / spread**2)
     found = []
-    for (stripe, *_), at, end, *scale in zip(seen, valued, ends, widths, scales, strict=True):
+    for (stripe, *_), at, end, width in zip(seen, valued, ends, widths, strict=True):
         part, values = slice(end - len(at), end), np.full((3, len(stripe.status)), np.nan)
         values[:, at] = places[part], across[part], flux[part]
-        line, squared, light = values
-        squared /= 1 + _slope(line, scale[-1]) ** 2
-        found.append(LightMoments(*scale, line, squared, light))
+        line, squared, total = values
+        squared /= 1 + _slope(line, width) ** 2
+        found.append(LightMoments(width, line, squared, total))
     return found
 
 
-def _slope(line: Floats, scale_px: float) -> Floats:
+def _slope(line: Floats, width_px: float) -> Floats:
     """(N,) px a column, over half of the line's width to either side: scatter is no slope."""
-    reach, at = max(round(scale_px / 2), 1), np.arange(len(line))
+    reach, at = max(round(width_px / 2), 1), np.arange(len(line))
     before, after = np.maximum(at - reach, 0), np.minimum(at + reach, len(line) - 1)
     slope: Floats = (line[after] - line[before]) / (after - before)
     return slope
