@@ -573,7 +573,8 @@ def measure_groove(run: Run, plane_map: PlaneMap) -> GrooveMeasures:
             where=run.path,
             allowed="a scan on a linear track, without [shaft]",
         )
-    return GrooveMeasures(groove_dimensions(list(read_profiles(run, plane_map)), piece))
+    profiles, unknown = list(read_profiles(run, plane_map)), run.rig_file.rig.curve_is_unknown
+    return GrooveMeasures(groove_dimensions(profiles, piece, unknown))
 
 
 def measure_sandwave(

@@ -49,10 +49,11 @@ def open_calibrated(
     note_water(plane_map, rig.optics)
     if len(opened) < rig.plan.frames:
         note(f"{run} holds {len(opened)} of {rig.plan.frames} frames")
-    if rig.camera.driver == "opencv" and "gamma" not in rig.stripe.model_fields_set:
+    if rig.curve_is_unknown:
         note(
             "[stripe] gamma is not stated: if this webcam has a tone curve (about 2.2), lines end "
-            "up to two pixels late at edges; lscan devices RIG --test finds it, 1: it has none"
+            "up to two pixels late at edges, which widths of grooves allow for and edges of "
+            "surfaces do not; lscan devices RIG --test finds it, 1: it has none"
         )
     return opened, plane_map
 

@@ -309,6 +309,11 @@ class Rig(Strict):
     board: Board | None = None
     workpiece: Workpiece | None = None
 
+    @property
+    def curve_is_unknown(self) -> bool:
+        """Whether the camera is one that mostly has a tone curve, and none is stated."""
+        return self.camera.driver == "opencv" and "gamma" not in self.stripe.model_fields_set
+
 
 # The rig file, read and checked: its sections, and the drivers, extractor and map it names.
 #

@@ -28,7 +28,7 @@ from lscan.devices.photontransfer import (
 )
 from lscan.errors import DeviceError, InputError, MeasurementError
 from lscan.files.pictures import colour_shift_px, linear_picture
-from lscan.records import Bytes, Floats, Progress
+from lscan.records import Axis, Bytes, Floats, Progress
 
 # How late a camera's pictures come: from a change in view to the picture that shows it.
 #
@@ -166,6 +166,10 @@ RARE = 1e-4
 """A linear camera's chi² is above what is held against it in one trial of ten thousand."""
 
 _COLOURS = {"red": 0, "green": 1, "blue": 2}
+_PAIRS: tuple[tuple[Axis, str, str], ...] = (
+    ("rows", "upright", "a row"), ("columns", "level", "a column"),
+)  # fmt: skip
+"""Of pixels that share their colour: the axis across the line, how that runs, where they lie."""
 
 
 @runtime_checkable
@@ -365,7 +369,7 @@ def try_camera(
             "exposure of a multiple of 10 ms (mains of 50 Hz) or 8.33 ms (60 Hz)"
         )
     image = camera.grab().image
-    for axis, line, along in (("rows", "upright", "a row"), ("columns", "level", "a column")):
+    for axis, line, along in _PAIRS:
         if shift_px := colour_shift_px(image, channel, axis):
             remarks.append(
                 f"colours: two pixels along {along} share theirs (YUYV and the like), so that an "

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.special import ndtri
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError, MeasurementError
@@ -259,6 +260,20 @@ the segment's brightness, left of a halo or a lit wall where the ground beside t
 off (stripe/peaks.py), moves a fall over two columns by as much, outwards."""
 
 
+MOST_GAMMA = 2.6
+"""Of a camera's tone curve that is not known: sRGB and what webcams add to it."""
+
+_AT_HALF = -ndtri(2.0**-MOST_GAMMA)
+CURVE = _AT_HALF * 2 ** (MOST_GAMMA - 1) * np.exp(-(_AT_HALF**2) / 2) / MOST_GAMMA / np.sqrt(3)
+"""Standard uncertainty, in widths of the blur as it is seen, that such a curve makes of an end.
+
+Behind a curve a fall of light Phi(t) is seen as Phi^(1 / gamma), which is one half not at t = 0 but
+where Phi is 2^-gamma, farther out; there its slope, and so the width that is fitted to it, is
+2^(gamma - 1) phi(t) / gamma.  The end is taken for as much farther out, by anything between none
+and that of the greatest gamma: a rectangular distribution about 0 (GUM 4.3.7).  Left out is the
+ground beneath the line, which lessens it, so that the bound is that of a line in the dark."""
+
+
 @dataclass(frozen=True)
 class End:
     """Where a segment ends.
@@ -270,15 +285,20 @@ class End:
     common_mm : float, mm, uncertainty alike in all pictures of one place: FALSE_LIGHT, or, where no
         fall is seen, the columns' spacing
     point : int, index into the trace of the segment's outermost point
+    curve_mm : float, mm, towards larger x, one standard uncertainty of what an unknown tone curve
+        does to all ends alike, outwards; 0 where the curve is known
     """
 
     x_mm: float
     own_mm: float
     common_mm: float
     point: int
+    curve_mm: float = 0.0
 
 
-def segment_ends(line: Trace, segments: Sequence[Segment]) -> list[tuple[End, End]]:
+def segment_ends(
+    line: Trace, segments: Sequence[Segment], unknown_curve: bool = False
+) -> list[tuple[End, End]]:
     """The left and the right end of each segment of one profile.
 
     Where no fall is seen, the end is half a column beyond the last point, to within an even
@@ -288,12 +308,14 @@ def segment_ends(line: Trace, segments: Sequence[Segment]) -> list[tuple[End, En
     ----------
     line : Trace, mm, the profile's points from left to right, with their brightness
     segments : sequence of Segment, of that profile
+    unknown_curve : bool, whether the camera may have a tone curve that is neither stated nor undone
     """
     outermost = np.array([[part.points[k] for part in segments] for k in (0, -1)])
     falls = np.array([[_falls(line, part, k) for part in segments] for k in (0, -1)])
     step = line.spacing_mm
     place = line.x[outermost] + np.array([[-step / 2], [step / 2]])
-    own, common = np.zeros(place.shape), np.full(place.shape, step / np.sqrt(12))
+    own, curve = np.zeros((2, *place.shape))
+    common = np.full(place.shape, step / np.sqrt(12))
     if falls.any():
         limits = StepLimits(LEAST_T, np.inf, (BLURS[0] * step, BLURS[1] * step), step, UNMODELLED)
         last = line.x[outermost][falls]
@@ -303,10 +325,10 @@ def segment_ends(line: Trace, segments: Sequence[Segment]) -> list[tuple[End, En
         place[falls] = np.clip(fit.place, last - 3 * step, last + 3 * step)
         own[falls] = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
         common[falls] = FALSE_LIGHT * step
-    left, right = (
-        [End(float(x), float(s), float(e), int(p)) for x, s, e, p in zip(*side, strict=True)]
-        for side in zip(place, own, common, outermost, strict=True)
-    )
+        if unknown_curve:
+            curve = np.array([[-1.0], [1.0]]) * falls * CURVE * fit.width[0]
+    both = np.stack([place, own, common, outermost, curve], axis=-1).tolist()
+    left, right = ([End(x, s, e, int(p), c) for x, s, e, p, c in side] for side in both)
     return list(zip(left, right, strict=True))
 
 
@@ -367,7 +389,7 @@ class Parts:
 
 
 def groove_dimensions(
-    profiles: Profile | Sequence[Profile], piece: GroovedBlock
+    profiles: Profile | Sequence[Profile], piece: GroovedBlock, unknown_curve: bool = False
 ) -> dict[str, Length]:
     """The dimensions W1 to S2 of Table III, mm, measured as in the paper.
 
@@ -386,6 +408,8 @@ def groove_dimensions(
         track, so that the sheet cuts it square; it may be tilted in the sheet by some degrees and
         lie anywhere in it.
     piece : GroovedBlock, the nominal shape
+    unknown_curve : bool, whether the camera may have a tone curve (gamma) that is not known: the
+        widths' uncertainty then holds what one of up to 2.6 does to the ends
 
     Raises
     ------
@@ -401,7 +425,7 @@ def groove_dimensions(
     several = [profiles] if isinstance(profiles, Profile) else list(profiles)
     if not several:
         raise InputError("no profile to measure", where="grooves", allowed="one or more")
-    each = [_measure(profile, piece) for profile in several]
+    each = [_measure(profile, piece, unknown_curve) for profile in several]
     mean = {name: mean_length([lengths[name] for lengths in each]) for name in each[0]}
     return {
         name: Length(nominal, mean[name].value_mm, mean[name].sigma_mm)
@@ -409,11 +433,11 @@ def groove_dimensions(
     }
 
 
-def _measure(profile: Profile, piece: GroovedBlock) -> dict[str, LengthBudget]:
+def _measure(profile: Profile, piece: GroovedBlock, unknown_curve: bool) -> dict[str, LengthBudget]:
     try:
         line = trace(profile)
         parts = find_parts(line, piece)
-        return {**_heights(line, parts), **_separations(line, parts)}
+        return {**_heights(line, parts), **_separations(line, parts, unknown_curve)}
     except MeasurementError as error:
         raise MeasurementError(f"profile at {profile.position_mm:g} mm: {error}") from error
 
@@ -519,9 +543,9 @@ def _heights(line: Trace, parts: Parts) -> dict[str, LengthBudget]:
     return heights
 
 
-def _separations(line: Trace, parts: Parts) -> dict[str, LengthBudget]:
+def _separations(line: Trace, parts: Parts, unknown_curve: bool) -> dict[str, LengthBudget]:
     """Widths and separations along the tops, from the ends of the tops' segments."""
-    ends = segment_ends(line, parts.ridges)
+    ends = segment_ends(line, parts.ridges, unknown_curve)
     left, right = [end[0] for end in ends], [end[1] for end in ends]
     return {
         "W1": _between(line, right[0], left[1]),
@@ -536,7 +560,8 @@ def _between(line: Trace, start: End, stop: End) -> LengthBudget:
     """Distance along the tops from one end to another, to its right."""
     along = float(np.hypot(1.0, line.tilt))
     ends = (start.point, stop.point)
-    common = np.hypot(start.common_mm, stop.common_mm)
+    curve = stop.curve_mm - start.curve_mm
+    common = np.linalg.norm([start.common_mm, stop.common_mm, curve])
     modes, place = None, 0.0
     if line.modes is None:
         place = float(np.hypot(*line.sigma_x[list(ends)]))

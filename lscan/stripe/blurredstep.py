@@ -102,11 +102,13 @@ class StepFit:
     ----------
     place : (P,) array, mm
     covariance : (P, P) array, mm², of the places
+    width : (G,) array, mm, of the blur
     weight : (K,) array, how much each sample counts, 0 to 1
     """
 
     place: Floats
     covariance: Floats
+    width: Floats
     weight: Floats
 
 
@@ -180,7 +182,7 @@ def fit_steps(
         state = _next_state(state, share * solution.step, solution.scatter, limits)
         if np.abs(solution.step[:size]).max() < SETTLED_MM:  # not its share: that can be small
             break
-    return StepFit(state.place, solution.covariance[:size, :size], counts)
+    return StepFit(state.place, solution.covariance[:size, :size], state.width, counts)
 
 
 def _counts(inside: Floats, within: float) -> Floats:

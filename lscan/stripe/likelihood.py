@@ -30,10 +30,11 @@ from lscan.stripe.peaks import (
     clipped_near,
     nominal_peaks,
     running_median,
+    smoothed_crests,
     stripe_at,
     windows,
 )
-from lscan.stripe.picture import Noise, constant_variance, robust_variance, sample_of, stated_noise
+from lscan.stripe.picture import Noise, constant_variance, sample_of, stated_noise
 from lscan.stripe.returns import withhold
 
 # What every extractor that fits itself to the line must know first: place, width, noise.
@@ -195,7 +196,8 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
     rough = _rough_width(columns, peaks, noise.constant)
     if settings.line_width_px is not None:
         rough = np.full(len(rough), settings.line_width_px / FWHM)
-    peaks = _recentre(columns, peaks, float(np.median(rough)))
+    width_px = float(np.median(rough))
+    peaks = replace(peaks, rows=smoothed_crests(columns, peaks.columns, peaks.rows, width_px))
     stripe, peaks, rough = _within(stripe, peaks, rough, columns.shape[1], settings)
     if len(peaks.columns) == 0:
         return stripe
@@ -320,21 +322,6 @@ def _above_ground(windows: Floats) -> Floats:
     return windows - left[:, None] - (right - left)[:, None] * rise
 
 
-def _recentre(columns: GreyValues, peaks: Peaks, width_px: float) -> Peaks:
-    """The peaks moved to the brightest pixel of the line smoothed with its own width.
-
-    Noise and clipping move the brightest pixel about; this one stays near the centre.
-    """
-    search = int(np.ceil(1.5 * width_px)) + 1
-    kernel_reach = int(np.ceil(3 * width_px))
-    near = windows(columns, peaks.columns, peaks.rows, search + kernel_reach)
-    place = np.arange(-search, search + 1)[:, None]
-    pixel = np.arange(-search - kernel_reach, search + kernel_reach + 1)
-    kernel = np.exp(-0.5 * ((pixel - place) / width_px) ** 2)
-    kernel[np.abs(pixel - place) > kernel_reach] = 0
-    return replace(peaks, rows=peaks.rows + (near @ kernel.T).argmax(axis=1) - search)
-
-
 def _reach(width_px: Floats, settings: StripeSection) -> Floats:
     return np.maximum(np.ceil(2 * width_px), settings.span_px)
 
@@ -423,7 +410,6 @@ def _between(fit: LineFit, which: int, sample: Ints, count: int) -> Guess:
 
 
 _MISFIT_NEIGHBOURS = 31
-_FEWEST_TRIPLES = 16
 _FOREIGN = 3.0
 """Misfit of a column beyond which something other than noise is in it: chi-square over its
 degrees of freedom, a dozen at least, passes 3 by chance once in a thousand times."""
@@ -473,8 +459,8 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     Where that is a column's own and the noise is stated, as beside light that ends at the line, it
     also grows by as far as the line's crest alone lies from the whole line.
     SATURATED columns have been allowed for.  Too few of their pixels are left to estimate the
-    noise by: unless that is stated, their sigma_px is at least what their centres scatter
-    from one column to the next.  NO_PEAK also where no line can be fitted.
+    noise by: unless that is stated, ``extract_stripe`` widens their sigma_px to what their centres
+    scatter (scatter.py).  NO_PEAK also where no line can be fitted.
 
     Rows that a colour camera has filled in by their neighbours' mean, as bilinear demosaicing
     does, are left out.  AMBIGUOUS where the line is narrower at half its height than the rows that
@@ -496,25 +482,9 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
 def _saturate(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The stripe with its clipped columns SATURATED."""
     saturated = clipped_near(stripe, clipped.T, settings.span_px)
-    status, sigma_px = stripe.status.copy(), stripe.sigma_px.copy()
+    status = stripe.status.copy()
     status[saturated] = Status.SATURATED
-    if settings.noise is None:
-        sigma_px[saturated] *= _scatter(stripe, saturated)
-    return replace(stripe, status=status, sigma_px=sigma_px)
-
-
-def _scatter(stripe: Stripe, at: Ints) -> float:
-    """Scatter of the centres of the columns ``at`` over that by sigma_px, 1 at least.
-
-    By second differences, which take out the line's slope.  1 for fewer than 16 triples.
-    """
-    first = at[:-2][(at[2:] - at[:-2]) == 2]
-    if len(first) < _FEWEST_TRIPLES:
-        return 1.0
-    weights = np.array([1.0, -2.0, 1.0])
-    triples = first[:, None] + np.arange(3)
-    stated = np.sqrt((stripe.sigma_px[triples] ** 2) @ weights**2)
-    return max(float(np.sqrt(robust_variance(stripe.centre_px[triples] @ weights / stated))), 1.0)
+    return replace(stripe, status=status)
 
 
 def _crests(

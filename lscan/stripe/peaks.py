@@ -411,16 +411,30 @@ def line_width(columns: GreyValues, at: Ints, crest: Ints, stated_px: float | No
     reach = min(_REACH_PX, columns.shape[1] - 1)
     width = _profile_width(windows(columns, at, crest, reach))
     for _ in range(_TURNS):
-        near = int(np.ceil(2 * width))
-        seen = windows(columns, at, crest, near + int(np.ceil(3 * width))).astype(np.float32)
-        smoothed = np.asarray(cv2.GaussianBlur(seen, (0, 1), sigmaX=width))
-        middle = smoothed.shape[1] // 2
-        crest = crest - near + smoothed[:, middle - near : middle + near + 1].argmax(axis=1)
+        crest = smoothed_crests(columns, at, crest, width)
         wider = _profile_width(windows(columns, at, crest, reach))
         if wider < _WIDER * width:
             break
         width = wider
     return width
+
+
+def smoothed_crests(columns: GreyValues, at: Ints, crest: Ints, width_px: float) -> Ints:
+    """(K,) px, the brightest pixels of columns smoothed over ``width_px``, near those crests.
+
+    Noise, speckle and clipping move the brightest pixel about; this one stays near the centre.
+
+    Parameters
+    ----------
+    columns, at, crest : as :func:`line_width` takes them
+    width_px : float, px, the line's standard deviation; looked at is one and a half of it, and a
+        pixel, to either side
+    """
+    near, beyond = int(np.ceil(1.5 * width_px)) + 1, int(np.ceil(3 * width_px))
+    seen = windows(columns, at, crest, near + beyond).astype(np.float32)
+    smoothed = np.asarray(cv2.GaussianBlur(seen, (0, 1), sigmaX=width_px))
+    found: Ints = crest - near + smoothed[:, beyond : beyond + 2 * near + 1].argmax(axis=1)
+    return found
 
 
 def _profile_width(seen: Floats) -> float:

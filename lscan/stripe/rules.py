@@ -326,9 +326,9 @@ def _peak_spread(
     smoothed = [smoothed_by_width(one, width_px) for one in columns]
     grey = windows_beside(smoothed, peaks.columns, peaks.rows, reach)
     least = grey[:, reach] - 2 * np.sqrt(variance / averaged)
-    near, steps = grey >= least[:, None], np.arange(-reach, reach + 1)
-    count = np.count_nonzero(near, axis=1)
-    spread: Floats = near @ steps**2 / count - (near @ steps / count) ** 2 + 1 / 12
+    powers = np.arange(-reach, reach + 1)[:, None] ** np.arange(3.0)
+    count, first, second = ((grey >= least[:, None]).astype(np.float64) @ powers).T
+    spread: Floats = second / count - (first / count) ** 2 + 1 / 12
     return spread
 
 

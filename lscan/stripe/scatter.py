@@ -35,7 +35,7 @@ _REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2
 independent values: the sum of their squared autocorrelations, 1, -15/20, 6/20 and -1/20."""
 
 _LAGS = (1, 2, 4, 8, 16)  # columns; a block of JPEG has 8, of its subsampled colours 16
-_SETTLED = 1.25  # ratio of the variances at a lag and the one before that is no growth
+_SETTLED = 1.25  # ratio of the greatest variance to one that is about as large
 _BEYOND_CHANCE = 4.0  # standard deviations
 _FEWEST_DIFFERENCES = 32  # third differences
 _WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
@@ -198,17 +198,20 @@ class LightMoments(NamedTuple):
     Attributes
     ----------
     line_px : float, px, the line's standard deviation across
-    scale_px : float, px, that of the Gaussian
     middle : (N,) array, px, first moment of the light; NaN where there is no line
     squared : (N,) array, the light's variance over that of the Gaussian, likewise
     flux : (N,) array, DN, the light
     """
 
     line_px: float
-    scale_px: float
     middle: Floats
     squared: Floats
     flux: Floats
+
+    @property
+    def scale_px(self) -> float:
+        """Standard deviation of the Gaussian, px."""
+        return max(self.line_px, _FINEST_PX)
 
     def pieces(self, stripe: Stripe) -> Ints:
         """(N,) number of the piece each column belongs to (peaks.py), -1 for none.
@@ -224,33 +227,28 @@ class LightMoments(NamedTuple):
     def shared_columns(self, stripe: Stripe) -> int:
         """Columns along which the pixels share their errors, 1 where each has its own.
 
-        The lag, of 1, 2, 4, 8 and 16, beyond which the third differences of the line's width grow
-        no more.  Where that is beyond 1 it is at least three widths of the line, over which some
-        extractors smooth along it; it is 1 too where none grows by more than chance, four standard
-        deviations of it.
+        The least lag, of 1, 2, 4, 8 and 16, at which the third differences of the line's width are
+        about as large as at any.  Where that is beyond 1 it is at least three widths of the line,
+        over which some extractors smooth along it; it is 1 too where none exceeds that at 1 by more
+        than chance, four standard deviations of it.
 
         Parameters
         ----------
         stripe : Stripe, px, as of :meth:`pieces`
         """
         run = np.where(np.isfinite(self.squared), self.pieces(stripe), -1)
-        growths: list[float] = []
-        by_chance, last = True, np.inf
+        found: dict[int, float] = {}
         for lag in _LAGS:
             values = _third_differences(self.squared, lag)[_in_one_piece(run, lag)]
-            if len(values) < _FEWEST_DIFFERENCES:
-                continue
-            scatter = robust_variance(values)
-            growths.append(scatter / max(last, np.finfo(float).tiny))
-            if len(growths) == 2 and growths[1] <= _SETTLED:
-                return 1
-            # Two variances are compared, each of as many values as the second has, or more.
-            by_chance &= growths[-1] <= 1 + _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))
-            last = scatter
-        if by_chance:
-            return 1
-        settled = int(np.append(np.array(growths[1:]) <= _SETTLED, True).argmax())
-        return max(_LAGS[settled], int(np.ceil(_WIDTHS * self.line_px)))
+            if len(values) >= _FEWEST_DIFFERENCES:
+                scatter = robust_variance(values)
+                # Two variances are compared, each of as many values as the second has, or more.
+                chance = _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))
+                if lag == 1 or scatter > (1 + chance) * found[1]:
+                    found[lag] = scatter
+        most = max(found.values(), default=0.0)
+        lag = next((lag for lag, scatter in found.items() if _SETTLED * scatter >= most), 1)
+        return 1 if lag == 1 else max(lag, int(np.ceil(_WIDTHS * self.line_px)))
 
 
 def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> list[LightMoments]:
@@ -301,18 +299,18 @@ def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> li
     # With the factors that all weights have in common, the one of _moments too.
     flux = total * np.exp(-about * (about / 2 + max(reach)) / spread**2)
     found = []
-    for (stripe, *_), at, end, *scale in zip(seen, valued, ends, widths, scales, strict=True):
+    for (stripe, *_), at, end, width in zip(seen, valued, ends, widths, strict=True):
         part, values = slice(end - len(at), end), np.full((3, len(stripe.status)), np.nan)
         values[:, at] = places[part], across[part], flux[part]
-        line, squared, light = values
-        squared /= 1 + _slope(line, scale[-1]) ** 2
-        found.append(LightMoments(*scale, line, squared, light))
+        line, squared, total = values
+        squared /= 1 + _slope(line, width) ** 2
+        found.append(LightMoments(width, line, squared, total))
     return found
 
 
-def _slope(line: Floats, scale_px: float) -> Floats:
+def _slope(line: Floats, width_px: float) -> Floats:
     """(N,) px a column, over half of the line's width to either side: scatter is no slope."""
-    reach, at = max(round(scale_px / 2), 1), np.arange(len(line))
+    reach, at = max(round(width_px / 2), 1), np.arange(len(line))
     before, after = np.maximum(at - reach, 0), np.minimum(at + reach, len(line) - 1)
     slope: Floats = (line[after] - line[before]) / (after - before)
     return slope

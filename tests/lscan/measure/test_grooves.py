@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
+from scipy.special import ndtr
 
 from lscan.config.targets import Groove, GroovedBlock
 from lscan.errors import InputError, MeasurementError
@@ -27,10 +28,13 @@ def profile(
     piece: GroovedBlock = PIECE,
     pitch_mm: float = PITCH_MM,
     seed: int = 0,
+    blur_mm: float | None = None,
+    gamma: float = 1.0,
 ) -> Profile:
     """What a laser 900 mm above the block's middle draws on it, seen column by column.
 
     dimming: columns at a top's ends are as bright as the part of them that is lit.
+    blur_mm: by which light ends everywhere; seen is a twentieth of it behind a curve of ``gamma``.
     """
     rng = np.random.default_rng(seed)
     tilt, edges, height = np.radians(tilt_deg), piece.edges_mm(), piece.height_mm
@@ -45,9 +49,13 @@ def profile(
         lit = np.minimum(columns + pitch_mm / 2, right) - np.maximum(columns - pitch_mm / 2, left)
         part = np.clip(lit / pitch_mm, 0, 1)
         seen = part >= 0.5
+        if blur_mm:
+            part = ndtr((columns - left) / blur_mm) * ndtr((right - columns) / blur_mm)
+            part = part ** (1 / gamma)
+            seen = part > 0.05
         from_middle = (columns - x_mm - level * up[0]) / along[0]
         z[seen] = (z_mm + from_middle * along[1] + level * up[1])[seen]
-        peak[seen] = (part if dimming else np.ones(len(part)))[seen] * 180
+        peak[seen] = (part if dimming or blur_mm else np.ones(len(part)))[seen] * 180
 
     for k, groove in enumerate(piece.grooves):
         low = height - groove.depth_mm
@@ -121,6 +129,18 @@ def test_brightness_at_the_ends_determines_parts_of_a_column(
         # either end, and what is interpolated is off by 0.1 of a column at most.
         error = measured[name].error_mm / PITCH_MM
         assert abs(error) < 2 * 0.6, name
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.4, 2.2, 2.6])
+@pytest.mark.parametrize("blur_mm", [0.6, 1.2])
+def test_widths_hold_what_an_unknown_tone_curve_does_to_ends(gamma: float, blur_mm: float) -> None:
+    one = profile(blur_mm=blur_mm, gamma=gamma)
+    known, unknown = (groove_dimensions(one, PIECE, doubt) for doubt in (False, True))
+    error = np.abs([known[name].error_mm for name in WIDTHS[:4]])
+    assert (error <= [1.96 * unknown[name].sigma_mm for name in WIDTHS[:4]]).all()
+    assert gamma < 2 or (error > [4 * known[name].sigma_mm for name in WIDTHS[:4]]).all()
+    # From one left end to another: both lie as far aside.
+    assert unknown["S2"].sigma_mm == pytest.approx(known["S2"].sigma_mm)
 
 
 @given(**poses, seed=st.integers(0, 10_000))
