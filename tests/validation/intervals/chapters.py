@@ -3,6 +3,7 @@
 from functools import partial
 
 from tests.validation.intervals.gamma import gamma_rows
+from tests.validation.intervals.maps import map_rows
 from tests.validation.intervals.metric import metric_rows
 from tests.validation.intervals.rough import rough_rows
 from tests.validation.intervals.water import water_interval_rows
@@ -20,6 +21,7 @@ def chapters(request: Request) -> Chapters:
     return {
         "tone curves": partial(gamma_rows, request.scenes, quick),
         "other water": partial(water_interval_rows, 2 if quick else 20),
+        "maps of one board": lambda: list(map_rows(4 if quick else 40)),
         "views of a board": partial(metric_rows, quick),
         "rough surfaces": partial(rough_rows, quick),
     }
