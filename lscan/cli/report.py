@@ -70,12 +70,11 @@ def compare(
         ["within 2 sigma", content["within_2_sigma"]],
     ]
     if found.pose_sigma is not None:  # where the mesh lies, as a scene file states it
-        turns, place = np.split(found.pose_sigma, 2)
         for name, numbers in (
             ("mesh at x, y, z mm", found.pose.translation_mm),
-            ("their sigmas mm", place),
+            ("their sigmas mm", found.pose_sigma[3:]),
             ("turned about x, y, z deg", found.pose.turns_deg),
-            ("their sigmas deg", turns),
+            ("their sigmas deg", found.pose_sigma[:3]),
         ):
             rows.append([name, ", ".join(f"{number:.3f}" for number in numbers)])
     if found.doubt:
