@@ -249,6 +249,7 @@ class CalibrationCheck:
     scale_error, scale_sigma : float, mapped lengths over nominal lengths, less 1
     chi_square : float, of the residuals once the scale is taken out too
     degrees_of_freedom : int, of chi_square
+    usual : float, chi-square a degree of freedom of the marks the map was solved from, 1 at least
     level : float, chance at which a calibration that still holds is said not to
     reasons : tuple of str, which of "scale", "shape", "shift" disagree; none where the calibration
         holds
@@ -271,6 +272,7 @@ class CalibrationCheck:
     scale_sigma: float
     chi_square: float
     degrees_of_freedom: int
+    usual: float
     level: float
     reasons: tuple[str, ...]
     worst: tuple[CheckedMark, ...]
@@ -315,7 +317,7 @@ def check_calibration(
     plane_map = in_water_of(calibration.plane_map, optics or NOTHING_KNOWN)
     compared = compare(plane_map, reading)
     names, nominal, points, fit = compared.names, compared.nominal_mm, compared.points, compared.fit
-    residual = points.xz_mm - fit.motion.apply(nominal)
+    residual, usual = points.xz_mm - fit.motion.apply(nominal), _usual(calibration)
     sigma = np.sqrt(np.diag(fit.covariance))
     return CalibrationCheck(
         marks=len(nominal),
@@ -330,8 +332,9 @@ def check_calibration(
         scale_sigma=compared.scale_sigma,
         chi_square=fit.chi_square,
         degrees_of_freedom=fit.degrees_of_freedom,
+        usual=usual,
         level=level,
-        reasons=_reasons(compared, _usual(calibration), level, placed_mm),
+        reasons=_reasons(compared, usual, level, placed_mm),
         worst=_worst(names, residual, points.sigma_mm),
         index=_index(plane_map, compared),
     )
@@ -520,6 +523,8 @@ def _worst(names: np.ndarray, residual_mm: Floats, sigma_mm: Floats) -> tuple[Ch
 
 CorrectionKind = Literal["scale", "index", "shift"]
 
+MENDED = 3.0  # sigmas, rms, that a correction may leave, where the map itself left 1; ours
+
 WATER_INDEX = (1.32, 1.36)
 """Water's index is from 1.3296 (30 C, fresh, 700 nm) to 1.3505 (0 C, 35 psu, 400 nm) by Quan & Fry
 1995, and 0.0015 more 100 m down; the rest is for what a calibration's port may be off."""
@@ -529,15 +534,19 @@ def fitting_corrections(found: CalibrationCheck) -> tuple[CorrectionKind, ...]:
     """What corrects what a check found; nothing where the calibration holds.
 
     A wrong scale is put down to the index of the water where that leaves less of the residuals than
-    a change of scale, and is one of water.  Nothing here corrects a wrong shape.
+    a change of scale, and is one of water.  Nothing here corrects a wrong shape: where either
+    leaves residuals of more than MENDED of their usual size, the picture is cropped elsewhere, say.
 
     Parameters
     ----------
     found : CalibrationCheck, of the picture that is to correct
     """
     kinds: list[CorrectionKind] = []
+    index = found.index
+    least = min(found.chi_square, np.inf if index is None else index.chi_square)
+    if least > MENDED**2 * found.usual * found.degrees_of_freedom:
+        return ()
     if "scale" in found.reasons:
-        index = found.index
         by_water = (
             index is not None
             and WATER_INDEX[0] <= index.index <= WATER_INDEX[1]

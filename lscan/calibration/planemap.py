@@ -416,7 +416,9 @@ class SolvedMap(Strict, ABC):
             xz_mm = self.points(image_px)
             more = (xz_mm - known.xz_mm)[:, :, None]
         if self._board is not None:
-            more = np.concatenate([more, self._board(image_px).reshape(*xz_mm.shape, -1)], axis=2)
+            board = self._board(image_px)
+            board = board.reshape(*xz_mm.shape, board.shape[1] // 2)
+            more = np.concatenate([more, board], axis=2)
         if known.modes_mm is None:  # of a graticule by itself
             return known
         modes = np.concatenate([known.modes_mm, more], axis=2)

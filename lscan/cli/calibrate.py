@@ -244,8 +244,8 @@ def calibrate_metric(
         content |= {"map": calibration.plane_map.name, "line_rms_mm": calibration.line_rms_mm}
         lines = sum(view.line_used for view in calibration.views)
         off = f"{calibration.line_rms_mm:.3f} mm rms off the sheet"
-        known = calibration.plane_map.found()
-        content["found"], (away, about) = _known_json(known), known["sheet_distance_mm"]
+        sheet = calibration.plane_map.found()
+        content["found"], (away, about) = _known_json(sheet), sheet["sheet_distance_mm"]
         words = f"metric: {used}; {lines} lines, {off}; sheet {away:.1f} ± {about:.2g} mm away"
     focal, sigma = calibration.theta[0], calibration.sigma[0]
     words += f"; focal length {focal:.1f} ± {sigma:.1f} px"

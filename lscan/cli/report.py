@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.table import Table
-from scipy.spatial.transform import Rotation
 from typer import Argument, Option
 
 from lscan.acquisition.run import open_run
@@ -70,13 +69,16 @@ def compare(
         ["95 % between mm", f"{low:.3f} and {high:.3f}"],
         ["within 2 sigma", content["within_2_sigma"]],
     ]
-    if fit:  # where the mesh lies, as a scene file states it
-        turns = Rotation.from_matrix(found.pose.rotation).as_euler("xyz", degrees=True)
+    if found.pose_sigma is not None:  # where the mesh lies, as a scene file states it
         for name, numbers in (
             ("mesh at x, y, z mm", found.pose.translation_mm),
-            ("turned about x, y, z deg", turns),
+            ("their sigmas mm", found.pose_sigma[3:]),
+            ("turned about x, y, z deg", found.pose.turns_deg),
+            ("their sigmas deg", found.pose_sigma[:3]),
         ):
             rows.append([name, ", ".join(f"{number:.3f}" for number in numbers)])
+    if found.doubt:
+        note(found.doubt)
     show(content, table("distances from the mesh", ["", ""], rows), json=json)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self, cast
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from lscan.config.board import Board
 from lscan.config.documents import Document, Strict, check, merge, read_document
@@ -142,9 +142,23 @@ KnownCentre = tuple[Annotated[float, Field(ge=-100_000, le=100_000)], Uncertaint
 KnownLength = tuple[Annotated[float, Field(ge=0, le=10_000)], Uncertainty]
 KnownIndex = tuple[Annotated[float, Field(ge=1, le=4)], Uncertainty]
 KnownTilt = tuple[Annotated[float, Field(ge=-45, le=45)], Uncertainty]
-KnownTemperature = tuple[Annotated[float, Field(ge=0, le=30)], Uncertainty]
-KnownSalinity = tuple[Annotated[float, Field(ge=0, le=35)], Uncertainty]
-KnownDepth = tuple[Annotated[float, Field(ge=0, le=9900)], Uncertainty]
+
+
+def _of_formula(most: float) -> AfterValidator:
+    """The rule for a state of water: 0 to what the formula of its index was made for."""
+
+    def check(value: float) -> float:
+        if not 0 <= value <= most:
+            what = f"must be 0 to {most:g}, where the index has a formula; of other water state"
+            raise ValueError(f"{what} water_index = [index, sigma] in its place")
+        return value
+
+    return AfterValidator(check)
+
+
+KnownTemperature = tuple[Annotated[float, _of_formula(30)], Uncertainty]
+KnownSalinity = tuple[Annotated[float, _of_formula(35)], Uncertainty]
+KnownDepth = tuple[Annotated[float, _of_formula(9900)], Uncertainty]
 
 
 class OpticsSection(Strict):

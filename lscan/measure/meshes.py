@@ -31,7 +31,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.figures.style import FIRST, INK, SECOND, WIDTH_IN, png, styled
 from lscan.files.disk import write_atomically
 from lscan.files.meshes import weld_mesh
-from lscan.measure.shapes import ShapeTerms, fit_shape, measured_points
+from lscan.measure.shapes import ShapeFit, ShapeTerms, fit_shape, measured_points
 from lscan.records import Floats, Ints, Mask, Surface
 
 # Signed distances of points from a triangle mesh.
@@ -330,6 +330,12 @@ WITHIN_MM = 10.0
 MOST_FITTED = 2_000
 """Points the mesh is fitted to, evenly picked: six parameters need no more."""
 
+MISFIT = 5.0
+"""Times the points' uncertainty, from which a fit's rms is said: parts differ from drawings."""
+
+TURN_RAD, NOTHING = 1e-6, 1e-13
+"""Step for differences, and a share of the largest variance that is rounding."""
+
 LIMIT = 0.98
 """Share of the distances that the colours and the histogram span; the rest lie at their ends."""
 
@@ -362,6 +368,26 @@ class MeshPose:
         rotation: Floats = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
         return cls(rotation, np.array(position_mm))
 
+    @property
+    def turns_deg(self) -> Floats:
+        """(3,) degrees, about x, y and z, one after the other, as a scene file states them."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_euler("xyz", degrees=True))
+
+
+def _pose_sigma(fit: ShapeFit, pose: MeshPose, pivot_mm: Floats, reach_mm: float) -> Floats:
+    """(6,) as MeshComparison.pose_sigma; reach_mm: how far the points lie from the pivot."""
+    ways = Rotation.from_rotvec(TURN_RAD * np.eye(3)).as_matrix() @ pose.rotation
+    turned = np.array([MeshPose(way, pivot_mm).turns_deg for way in ways]) - pose.turns_deg
+    gradient = np.eye(6)
+    gradient[:3, :3] = turned.T / TURN_RAD
+    gradient[3:, :3] = np.cross(np.eye(3), pose.translation_mm - pivot_mm).T
+    # Where the covariance is 0 the points hold nothing: such ways are a null space of it.
+    units = np.repeat([reach_mm, 1.0], 3)
+    known, axes = np.linalg.eigh(fit.covariance * np.outer(units, units))
+    in_units = gradient / units / np.linalg.norm(gradient / units, axis=1, keepdims=True)
+    held = np.square(in_units @ axes[:, known > NOTHING * known.max()]).sum(axis=1)
+    return np.where(held > 0.5, fit.sigma(gradient), np.inf)
+
 
 @dataclass(frozen=True)
 class MeshComparison:
@@ -377,7 +403,8 @@ class MeshComparison:
     far : int, number of points not compared, because they are too far off the mesh
     beside : int, number of points not compared, because they lie beside an open mesh
     pose : MeshPose, of the mesh
-    fitted : bool, whether the pose was found from these points
+    pose_sigma : (6,) array or None, standard uncertainties of a fitted pose: of MeshPose.turns_deg
+        and of translation_mm; infinite where the points do not hold the mesh
     """
 
     xyz_mm: Floats
@@ -387,7 +414,23 @@ class MeshComparison:
     far: int
     beside: int
     pose: MeshPose
-    fitted: bool
+    pose_sigma: Floats | None = None
+
+    @property
+    def doubt(self) -> str:
+        """What a user should know of a fitted pose; "" where there is nothing to say."""
+        if self.pose_sigma is None:
+            return ""
+        rms, sigma = np.sqrt(np.mean(self.distance_mm**2)), np.median(self.sigma_mm)
+        words = []
+        if rms > MISFIT * sigma:
+            words.append(
+                f"the mesh fits to {rms:.2g} mm rms only, {rms / sigma:.0f} times the points' "
+                "uncertainty: another shape or unit, or a start (--at, --turn) too far off"
+            )
+        if not np.isfinite(self.pose_sigma).all():
+            words.append("nothing holds the mesh some ways: there its pose is that of the start")
+        return "; ".join(words)
 
     @property
     def limit_mm(self) -> float:
@@ -410,9 +453,11 @@ class MeshComparison:
             "max_mm": float(self.distance_mm.max()),
             "within_2_sigma": float(within.mean()),
             "pose": {
-                "fitted": self.fitted,
+                "fitted": self.pose_sigma is not None,
                 "rotation": self.pose.rotation,
                 "translation_mm": self.pose.translation_mm,
+                "sigma": self.pose_sigma,
+                "doubt": self.doubt,
             },
         }
 
@@ -461,12 +506,16 @@ def compare_mesh(
     terms = placed.terms(points.xyz_mm)
     _require_points(terms.usable, within_mm)
     covariance, modes = np.zeros((6, 6)), np.zeros((6, points.modes_mm.shape[2]))
+    pose_sigma = None
     if fit:
         near = np.flatnonzero(terms.usable)
         some = near[:: -(-len(near) // MOST_FITTED)]
         found = fit_shape(placed, points.only(some), "the mesh")
         assert isinstance(found.shape, PlacedMesh)
         placed, covariance, modes = found.shape, found.covariance, found.modes
+        pose = MeshPose(placed.rotation, placed.translation_mm)
+        reach_mm = float(np.linalg.norm(points.xyz_mm[near] - pivot, axis=1).max())
+        pose_sigma = _pose_sigma(found, pose, pivot, reach_mm)
         terms = placed.terms(points.xyz_mm)
         _require_points(terms.usable, within_mm)
     used = terms.usable
@@ -483,8 +532,8 @@ def compare_mesh(
         mean_sigma_mm=float(np.sqrt(of_mean + np.square(common.mean(axis=0)).sum())),
         far=int(far.sum()),
         beside=int((~used & ~far).sum()),
-        pose=MeshPose(placed.rotation, placed.translation_mm),
-        fitted=fit,
+        pose=pose,
+        pose_sigma=pose_sigma,
     )
 
 

@@ -397,7 +397,7 @@ def with_hidden_errors(
 
         def by_board(image_px: Floats) -> Floats:
             moved = board_modes(sheet_of(view), optics, plane_map.region, image_px)
-            return moved.reshape(len(image_px), -1)
+            return moved.reshape(len(image_px), 2 * moved.shape[2])
 
         table = pixel_table(by_board, plane_map.region)
         other._board = table.look_up if table else by_board

@@ -359,11 +359,16 @@ def _read(
         if entry.background is not None and entry.background != NONE:
             dark = read(entry.background)
     try:
-        line = line_on_board(extract_stripe(lit, stripe, dark), marks, outline_mm)
+        seen = extract_stripe(lit, stripe, dark)
+        line = line_on_board(seen, marks, outline_mm)
     except MeasurementError as error:
         return CalibrationView(entry.picture, marks, None, str(error))
     if len(line.image_px) == 0:
-        return CalibrationView(entry.picture, marks, None, "no laser line was found on the board")
+        why = f"no column has one above [stripe] threshold_dn = {stripe.threshold_dn:g}"
+        if beside := int(has_value(seen.status).sum()):
+            why = f"{beside} columns have one beside it: [board] margin_mm says how far it reaches"
+        fault = f"no laser line was found on the board; {why}"
+        return CalibrationView(entry.picture, marks, None, fault)
     return CalibrationView(entry.picture, marks, line)
 
 

@@ -140,6 +140,14 @@ def test_a_shift_is_corrected_where_the_placing_is_known() -> None:
     assert (points.sigma_mm[known_] >= 0.05).all()
 
 
+def test_what_does_not_mend_it_is_not_proposed() -> None:
+    """Of a picture cropped elsewhere an index of 1.31 leaves 150 times what noise explains."""
+    calibration, _, _ = _in_sea()
+    cropped = replace(View(n_water=1.331), centre_px=(319.5, 209.5))
+    found = check_calibration(calibration, _reading(cropped, 2))
+    assert "scale" in found.reasons and fitting_corrections(found) == ()
+
+
 def test_an_index_that_no_water_has_is_not_proposed() -> None:
     """The board of another rig say: it fits best with an index of 1.39, and a scale is off."""
     found = _found_in_sea()

@@ -4,12 +4,19 @@ import json
 
 import numpy as np
 import pytest
-from planeviews import View, paper_board, read_board, with_noise
+from planeviews import EXACT_BOARD, View, paper_board, read_board, with_noise
 from scipy.spatial.transform import Rotation
 
 import lscan.live.analysis as boardview
 from lscan.calibration.calibrate import calibrate
-from lscan.config.rig import CalibrationSection, CameraSection, Rig, SheetSection, TrackSection
+from lscan.config.rig import (
+    CalibrationSection,
+    CameraSection,
+    OpticsSection,
+    Rig,
+    SheetSection,
+    TrackSection,
+)
 from lscan.errors import BoardNotFound
 from lscan.live.analysis import NO_PLACE, UNCALIBRATED, board_json, read_live_board
 
@@ -61,7 +68,8 @@ def seen(monkeypatch):
 
 
 def solved_map():
-    return calibrate(read_board(BOARD, VIEW.project), "projective").plane_map
+    exact = OpticsSection(**EXACT_BOARD)
+    return calibrate(read_board(BOARD, VIEW.project), "projective", exact).plane_map
 
 
 def test_a_picture_without_a_board_says_why(seen):

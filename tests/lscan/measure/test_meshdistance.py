@@ -152,11 +152,17 @@ def test_a_pose_is_found_to_its_uncertainty() -> None:
     surface = replace(surface, sigma_x_mm=isotropic, sigma_y_mm=isotropic)
     start = MeshPose.at((101.0, 51.0, -301.0), float(np.degrees(0.4)) + 1.0)
     found = compare_mesh(surface, mesh, start, fit=True)
-    assert found.fitted
     # 2000 points of 0.05 mm place it to 0.002 mm.  Turned by a radian about its long axis, the
     # surface moves by 1.2 mm (rms), so that the turn is known to 0.001 rad: five times each.
     np.testing.assert_allclose(found.pose.translation_mm, shift, atol=0.01)
     np.testing.assert_allclose(found.pose.rotation, rotation, atol=5e-3)
+    assert found.pose_sigma is not None and not found.doubt
+    true = np.concatenate([MeshPose(rotation, shift).turns_deg, shift])
+    off = np.concatenate([found.pose.turns_deg, found.pose.translation_mm]) - true
+    assert (np.abs(off) < 3 * found.pose_sigma).all()
+    assert (found.pose_sigma < [0.3] * 3 + [0.01] * 3).all()
+    small = replace(found, distance_mm=found.distance_mm + 2.6)
+    assert "2.6 mm rms" in small.doubt
     within = np.mean(np.abs(found.distance_mm) <= 1.96 * found.sigma_mm)
     # 3 standard deviations of a share of some 6000 points.
     assert abs(within - 0.95) < 3 * np.sqrt(0.95 * 0.05 / len(top))
@@ -174,6 +180,9 @@ def test_of_a_plane_the_pose_is_found_that_it_determines(turn_deg: float) -> Non
     np.testing.assert_allclose(found.distance_mm, 0.0, atol=1e-9)
     lean = found.pose.rotation[:, 2]
     np.testing.assert_allclose(lean[:2] / lean[2], [-0.01, 0.0], atol=1e-9)
+    assert found.pose_sigma is not None
+    np.testing.assert_array_equal(np.isinf(found.pose_sigma), [0, 0, 1, 1, 1, 0])
+    assert "nothing holds" in found.doubt
     # Of 2000 points evenly spread, each known to 0.05 mm.
     assert found.mean_sigma_mm < 2 * 0.05 / np.sqrt(41 * 41)
 

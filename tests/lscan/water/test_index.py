@@ -1,11 +1,14 @@
 """Index of water, air and glass, and density, against published values."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 
 from lscan.camera.optics import stated_water
+from lscan.config.documents import check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
 from lscan.water import (
@@ -156,6 +159,12 @@ def test_pressure_out_of_range_is_refused(mpa):
 def test_iapws_out_of_range_is_refused(density, t, nm, named):
     with pytest.raises(InputError, match=f"{named}.*allowed"):
         iapws_index(density, t, nm)
+
+
+@pytest.mark.parametrize("state", [{"temperature_c": (31.0, 0.1)}, {"salinity_psu": (35.165, 0.1)}])
+def test_water_beyond_the_formula_is_referred_to_its_index(state: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"where the index has a formula.* water_index = \["):
+        check(OpticsSection, {"temperature_c": (20.0, 0.1)} | state, where="rig.toml")
 
 
 @pytest.mark.parametrize(("salinity_psu", "less"), [(0.0, 0.03), (35.0, 0.05)])

@@ -4,6 +4,7 @@ from functools import partial
 
 from tests.validation.intervals.gamma import gamma_rows
 from tests.validation.intervals.level import exposure_rows, level_rows
+from tests.validation.intervals.maps import map_rows
 from tests.validation.intervals.metric import metric_rows
 from tests.validation.intervals.rough import rough_rows
 from tests.validation.intervals.water import water_interval_rows
@@ -23,6 +24,7 @@ def chapters(request: Request) -> Chapters:
         "level lines": partial(level_rows, quick),
         "exposures": partial(exposure_rows, quick),
         "other water": partial(water_interval_rows, 2 if quick else 20),
+        "maps of one board": lambda: list(map_rows(4 if quick else 40)),
         "views of a board": partial(metric_rows, quick),
         "rough surfaces": partial(rough_rows, quick),
     }
