@@ -10,7 +10,7 @@ from lscan import roughness as rough
 from lscan.cli.console import Json, note, progress_bar, require_folders, show, table
 from lscan.config.rig import load_rig
 from lscan.errors import InputError
-from lscan.records import Surface
+from lscan.records import Status, Surface, has_value
 from lscan.roughness import MM_PER_CM, Roughness, ScannerResponse, Sediment, patch_of_cells
 from lscan.roughness.analysis import save_figures, save_roughness
 from lscan.roughness.instrument import corrected_blur_px, is_thickness_corrected
@@ -26,6 +26,11 @@ def roughness(
     output: Path | None = Option(None, "--output", "-o", help="Spectra to write (.nc)."),
     cell: float | None = Option(
         None, help="Side of cells to average points in, mm; without it profiles are used."
+    ),
+    window: tuple[float, float, float, float] | None = Option(
+        None,
+        metavar="X0 X1 Y0 Y1",
+        help="The part of the surface that counts, mm, as its points have x and y; by default all.",
     ),
     yaw: float = Option(
         0.0, help="Yaw of the sheet against the track, degrees, of a surface that is not aligned."
@@ -75,6 +80,16 @@ def roughness(
         raise InputError("is needed with --frequency or --grazing", where="--sediment")
     ground = None if bottom is None else rough.sediment(bottom)
     scanned = load_surface(surface)
+    if window is not None:
+        low, high = np.reshape(window, (2, 2)).T
+        plan, good = scanned.xyz_mm[..., :2], has_value(scanned.status)
+        inside = good & ((plan >= low) & (plan <= high)).all(axis=-1)
+        if not inside.any():
+            whole = np.column_stack([plan[good].min(axis=0), plan[good].max(axis=0)]).ravel()
+            allowed = "X0 X1 Y0 Y1 of a part of " + " ".join(f"{end:.0f}" for end in whole)
+            raise InputError("holds no point", where="--window", value=window, allowed=allowed)
+        status = np.where(inside, scanned.status, int(Status.NO_DATA))
+        scanned = replace(scanned, status=status)
     if rig is None:
         response = _stated_response(scanned, sheet, blur, pixel)
     elif sheet or blur or pixel:
@@ -85,7 +100,10 @@ def roughness(
     sheared = replace(scanned, xyz_mm=scanned.xyz_mm @ shear(np.radians(yaw)).T)
     patch = rough.patch_of_profiles(sheared) if cell is None else patch_of_cells(sheared, cell)
     if patch.steps > MOST_STEPS:
-        note("steps lie in the patch, such as a rim: ripples, law and intervals are not valid")
+        note(
+            "steps lie in the patch, such as a rim: ripples, law and intervals are not valid; "
+            "--window leaves them out"
+        )
     with progress_bar("roughness") as progress:
         found = rough.roughness_of(patch, response, stretched=stretched, progress=progress)
     if found.fit.lack > 1:

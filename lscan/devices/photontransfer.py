@@ -7,9 +7,9 @@ model").  Here, as there, the variance is taken from differences of two pictures
 still scene, in which everything that stands still drops out.
 
 The standard wants an evenly lit sensor.  Any still scene serves: its pixels are sorted into
-levels of grey by one half of the pictures and measured in the other half.  Sorting and
-measuring by the same pictures would put a pixel that happened to be bright in a brighter
-level, and so flatten the slope.
+levels of grey by their neighbours in one half of the pictures and measured in the other half.
+Sorted by their own grey values, pixels of high offset or noise would count as bright, and so
+flatten the slope; diagonal neighbours share neither row nor column, which have offsets too.
 """
 
 from collections.abc import Iterator
@@ -28,6 +28,10 @@ ROUNDING_DN = 12**-0.5
 
 LEVEL_DN = 4.0
 """Width of a level of grey."""
+
+LEAST_ALIKE = 0.05  # of a level's pixels, that are themselves as grey as it
+
+DIAGONALS = np.array([[0.25, 0.0, 0.25], [0.0, 0.0, 0.0], [0.25, 0.0, 0.25]])
 
 FEWEST_DIFFERENCES = 100
 """A level with fewer of them is passed over: its variance is known to worse than 14 %."""
@@ -185,10 +189,14 @@ def grey_levels(pictures: Bytes) -> Levels:
     _require(pictures, 4)
     half = len(pictures) // 4 * 2
     # Sorted into as many levels as the scene has: by means of one half, in steps of LEVEL_DN.
-    sorting = pictures[:half].mean(axis=0).ravel()
+    mean_dn = pictures[:half].mean(axis=0)
+    sorting = ndimage.correlate(mean_dn, DIAGONALS, mode="mirror")
     level, flickers = np.floor(sorting / LEVEL_DN).astype(np.int64), flicker(pictures) is not None
-    levels = _levels(pictures[half : 2 * half], level, flickers)
-    return levels[(levels.differences >= FEWEST_DIFFERENCES) & (levels.clipped <= MOST_CLIPPED)]
+    levels = _levels(pictures[half : 2 * half], level.ravel(), flickers)
+    # Of two greys with an edge between them a level of both is on the line whatever the line is.
+    alike = ndimage.mean(np.abs(mean_dn - sorting) <= LEVEL_DN, level, np.unique(level))
+    kept = (levels.differences >= FEWEST_DIFFERENCES) & (levels.clipped <= MOST_CLIPPED)
+    return levels[kept & (np.asarray(alike) >= LEAST_ALIKE)]
 
 
 def dark_level(pictures: Bytes) -> Levels:

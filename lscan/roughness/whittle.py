@@ -258,7 +258,7 @@ DB_PER_LN = 10 / np.log(10)
 LEAST_RING = 1.5  # waves in the shorter side
 LEAST_KNOWN = 0.5  # of a ring, for what is passed of it
 PARTS = 8  # of the band, of as many values each
-LACKING = 0.01  # of fields that follow the law: so many are said not to
+LACKING = 0.04  # of fields that follow the law: so many are said not to
 MOST_LIFTED = 2.0
 """Expectation over the spectrum itself, beyond which a ring has no limits: more than half of it is
 then leakage and folding, which the law says alone, not the patch."""
@@ -287,7 +287,7 @@ class PowerLawFit:
         and what the law is not known of leakage and folding; they are NaN where these two are
         expected to be more than all else in the ring
     lack : float, what the law's lack of fit has widened the uncertainties by: by Birge's ratio
-        where the patch is less like the law than 99 % of simulated patches; otherwise 1
+        where the patch is less like the law than 96 % of simulated patches; otherwise 1
 
     References
     ----------
@@ -380,14 +380,17 @@ def fit_power_law(
 def _lack_of_fit(own: Floats, simulated: Floats) -> float:
     """Birge's ratio of (F,) sums against (N, F) of simulated patches, 1 where it is one of theirs.
 
-    The largest of three: of the parts of the band, of the bend, and of the directions.
+    The largest of four: of the parts of the band, of a bend, of an end, and of the directions.
     """
-    sums = (np.vstack([own, simulated]) / simulated.std(axis=0)) ** 2
-    kinds = np.split(sums, [PARTS, PARTS + 1], axis=1)
+    sums = np.vstack([own, simulated]) / simulated.std(axis=0)
+    sums[:, PARTS] = np.minimum(
+        sums[:, PARTS], 0.0
+    )  # to the flat: long waves are lower, not higher
+    sums = sums**2
+    kinds = np.split(sums, [PARTS, PARTS + 1, PARTS + 2], axis=1)
     squares = np.stack([kind.mean(axis=1) for kind in kinds])
     beyond = squares[:, 0] > np.quantile(squares[:, 1:], 1 - LACKING / len(kinds), axis=1)
-    ratios = squares[beyond, 0] / squares[beyond, 1:].mean(axis=1)
-    return float(np.sqrt(ratios.max(initial=1.0)))
+    return float(np.sqrt(squares[beyond, 0].max(initial=1.0)))
 
 
 def most_likely_law(
@@ -564,16 +567,20 @@ class _Likelihood:
     def scores(self, theta: Floats) -> tuple[Callable[[Floats], Floats], Floats]:
         """(P + F,) of a patch's heights: the score, and by how much it is unlike any such law.
 
-        These are sums of periodogram over expectation, less 1, of parts of the band, weighted with
-        the square of the wavenumber's logarithm, and with its direction; less what the law's
-        parameters would follow.  Also what a sigma of the law's end adds to all of these.
+        These are sums of periodogram over expectation, less 1, of parts of the band, and weighted
+        with K^-2, K^2 and the direction; less what the law's parameters would follow.  Also what a
+        sigma of the law's end adds to all of these.
+
+        K^-2 is the score of a bend to the flat, (k0² + K²)^(-gamma2 / 2) at k0 = 0, and K^2 that of
+        an end, exp(-K² l²) at l = 0: of small ones nothing tells more (C. R. Rao, Proc. Cambridge
+        Philos. Soc. 44 (1948) 50).
         """
         expected, (y, x) = self.expected(theta), self.places
         slopes = self.derivatives(theta, expected)
         size, way = np.log(np.hypot(y, x)), 2 * np.arctan2(y, x)
         part = np.digitize(size, np.quantile(size, np.arange(1, PARTS) / PARTS))
         unlike = np.column_stack([
-            part[:, np.newaxis] == np.arange(PARTS), (size - size.mean()) ** 2,
+            part[:, np.newaxis] == np.arange(PARTS), np.exp(-2 * size), np.exp(2 * size),
             np.cos(way), np.sin(way),
         ])  # fmt: skip
         unlike = unlike - slopes @ np.linalg.lstsq(slopes, unlike, rcond=None)[0]

@@ -17,6 +17,7 @@ from lscan.errors import InputError, MeasurementError
 from lscan.files.pictures import read_picture
 from lscan.records import Status, Surface
 from lscan.roughness import (
+    Patch,
     PowerLaw,
     Roughness,
     ScannerResponse,
@@ -234,13 +235,28 @@ def test_the_command_says_that_steps_lie_in_the_patch(
     surface = load_surface(surface_file)
     x, y, _ = np.moveaxis(surface.xyz_mm, -1, 0)
     for where, told in ((x < 0, False), (np.hypot(x - 30, y - 40) < 4, False),
-                        ((x < 32) & (y < 40), True)):  # fmt: skip
+                        ((x < 30) & (y < 38), True)):  # fmt: skip
         raised = surface.xyz_mm + np.where(where, 10.0, 0.0)[..., None] * [0.0, 0.0, 1.0]
         assert (patch_of_cells(replace(surface, xyz_mm=raised), 2.0).steps > MOST_STEPS) == told
     save_surface(tmp_path / "raised.nc", replace(surface, xyz_mm=raised))
     monkeypatch.setattr("lscan.roughness.roughness_of", lambda *_, **__: 1 / 0)
     said = CliRunner().invoke(app, ["roughness", str(tmp_path / "raised.nc"), "--cell", "2"])
     assert "steps lie in the patch" in " ".join(said.stderr.split())
+    read = list[Patch]()
+
+    def patch_alone(patch: Patch, *_: Any, **__: Any) -> Roughness:
+        read.append(patch)
+        raise MeasurementError("no more is asked")
+
+    monkeypatch.setattr("lscan.roughness.roughness_of", patch_alone)
+    for window in ("32 64 0 80", "0 64 40 80"):
+        part = ["--window", *window.split(), "--cell", "2"]
+        said = CliRunner().invoke(app, ["roughness", str(tmp_path / "raised.nc"), *part])
+        assert "no more is asked" in str(said.exception) and "steps" not in said.stderr
+    assert [one.z_cm.shape for one in read] == [(40, 16), (20, 32)]
+    far = ["--window", "70", "90", "0", "80"]
+    said = CliRunner().invoke(app, ["roughness", str(tmp_path / "raised.nc"), *far])
+    assert "--window" in str(said.exception) and "0 64 0 80" in str(said.exception)
 
 
 def test_the_command_refuses_no_length_by_name(surface_file: Path) -> None:

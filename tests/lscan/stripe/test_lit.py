@@ -417,7 +417,8 @@ def test_a_level_line_between_two_rows_of_a_mosaic_is_not_clipped(width_px, nois
     light = drawn(np.full(WIDTH, 61.0), width_px, HEIGHT, 184.0)
     noisy = light + np.random.default_rng(2).normal(8, noise_dn, light.shape)
     image = cv2.cvtColor(np.rint(noisy).clip(0, 255).astype(np.uint8), cv2.COLOR_BayerRGGB2RGB)
-    assert (extract_stripe(image, StripeSection(threshold_dn=20.0)).status == Status.OK).all()
+    settings = StripeSection(extractor="centroid-relative", threshold_dn=20.0)
+    assert (extract_stripe(image, settings).status == Status.OK).all()
 
 
 def test_a_dark_picture_and_one_that_is_clipped_at_the_end_keep_the_end():

@@ -150,7 +150,8 @@ LAWLESS: Mapping[str, Density] = {
 
 def _unlike_row(name: str, density: Density, effort: LawEffort) -> Row:
     """How many of the fields are refused or said to lack a fit."""
-    count, shape = 0, (effort.side, effort.side)
+    # Of fewer cells the band begins beyond the bend.
+    count, shape = 0, (FULL.side, FULL.side)
     for number in range(0, effort.fields, 2):
         generator = np.random.default_rng([SEED, 9, number])
         for z in sampled_fields(density, shape, generator):
@@ -160,4 +161,4 @@ def _unlike_row(name: str, density: Density, effort: LawEffort) -> Row:
             except MeasurementError:
                 count += 1
     return row("intervals-roughness-unlike", 100 * count / effort.fields, seed=SEED, name=name,
-               count=count, fields=effort.fields, side=effort.side)  # fmt: skip
+               count=count, fields=effort.fields, side=FULL.side)  # fmt: skip

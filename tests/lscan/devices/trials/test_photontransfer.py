@@ -26,7 +26,7 @@ def sensor(
     pictures: int,
     gain: float,
     read_dn: float,
-    black_dn: float = 0.0,
+    black_dn: float | Floats = 0.0,
     light: Floats | None = None,
     seed: int = 1,
 ) -> Bytes:
@@ -90,14 +90,17 @@ def test_more_pictures_are_surer() -> None:
     assert sigmas[0] > sigmas[1] > sigmas[2]
 
 
-def test_pixels_are_not_sorted_by_their_own_noise() -> None:
-    """In a scene almost flat, levels made of noise would have a slope of 0; z has mean 0 here."""
+@pytest.mark.parametrize(("offset_dn", "columns_dn"), [(0.0, 0.0), (3.0, 0.0), (0.0, 3.0)])
+def test_pixels_are_sorted_by_neither_noise_nor_offset(offset_dn: float, columns_dn: float) -> None:
+    """In a scene almost flat, levels made of either would have a slope of 0; z has mean 0 here."""
     z = []
-    for seed in range(60):
-        pictures = sensor(gradient(96, 106), 16, 0.5, 1.0, seed=seed)
+    for seed in range(40):
+        draw = np.random.default_rng(1000 + seed).normal
+        offsets = draw(0, offset_dn, SHAPE) + draw(0, columns_dn, SHAPE[1])
+        pictures = sensor(gradient(96, 106), 16, 0.5, 1.0, offsets, seed=seed)
         found = photon_transfer(grey_levels(pictures))
         z.append((found.dn_per_electron - 0.5) / found.gain_sigma)
-    assert abs(np.mean(z)) < 4 / np.sqrt(60)
+    assert abs(np.mean(z)) < 4 / np.sqrt(40)
 
 
 def test_a_flat_scene_does_not_determine_the_gain() -> None:
