@@ -16,7 +16,7 @@ from sim.render.layers import Layers
 from sim.scene import Scene
 from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor import photons_per_radiance
-from sim.sensor.noise import electrons_of
+from sim.sensor.webcam import electrons_of
 from sim.truth import StripeTruth, line_brightness, sheet_of, stripe_truth
 from sim.truth.light import line_in_space, offset_per_px
 from sim.truth.section import surfaces_of
