@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.records import Floats, Ints, Mask
 from sim.meshes import target_mesh
-from sim.meshes.board import plate_mesh
 from sim.meshes.parts import plain_mesh
+from sim.meshes.target import plate_mesh
 from sim.scene import Pose, Scene, floor_corners_mm, target_pose
 from sim.scene.errors import TrueBoard
 from sim.truth.sheet import Bow
