@@ -36,8 +36,8 @@ from sim.studies.problem import (
     make_design,
     mixed_block,
 )
+from sim.studies.results import OK, Results
 from sim.studies.rig.states import SEEDED
-from sim.studies.store import OK, Results
 from sim.studies.studyfile import Bound, Cause, StudyFile
 
 LARGE = 0.02  # share of the mean square from which on a cause is compared by itself

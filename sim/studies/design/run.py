@@ -29,9 +29,9 @@ from sim.studies.design.search import (
 from sim.studies.executor import in_order
 from sim.studies.indices import Bounded, interval, pseudo_values
 from sim.studies.problem import SETS
+from sim.studies.results import OK, identity_of, open_store
 from sim.studies.rig.prepared import Prepared
 from sim.studies.running import RigSource, StudyRunning, prepared_of
-from sim.studies.store import OK, identity_of, open_store
 from sim.studies.studyfile import Study
 
 DESIGNS, WINNERS = "designs.json", "winners"
