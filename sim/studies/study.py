@@ -25,8 +25,17 @@ from sim.studies.budget import (
     scatters_of,
 )
 from sim.studies.design.run import design_problem, design_runs, search_designs
-from sim.studies.indices import Indices, next_base, sobol_indices
-from sim.studies.problem import BASE, Design, Output, alone, columns, make_design
+from sim.studies.problem import (
+    BASE,
+    Design,
+    Indices,
+    Output,
+    alone,
+    columns,
+    make_design,
+    next_base,
+    sobol_indices,
+)
 from sim.studies.results import (
     Results,
     ResultStore,
