@@ -6,8 +6,7 @@ from typer import Argument, Option
 
 from lscan.cli.console import Json, keep_notes_when_stopped, note, one_of, progress_bar, show
 from sim.cli.app import MOST_WORKERS, OutputFolder, show_places, worker_processes
-from sim.datasets.dataset import make_dataset
-from sim.datasets.datasetshards import ENDINGS
+from sim.datasets.dataset import ENDINGS, make_dataset
 from sim.datasets.datasetspec import load_dataset_spec
 
 

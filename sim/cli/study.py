@@ -11,8 +11,8 @@ from lscan.cli.console import Json, keep_notes_when_stopped, note, one_of, progr
 from lscan.config.scenes import scenes_folder
 from sim.cli.app import STUDIES, OutputFolder, ScenesFolder, worker_processes
 from sim.studies.budget import DesignTrial, OutputBudget
-from sim.studies.indices import Bounded
 from sim.studies.page import figure, largest, tolerance_sentence
+from sim.studies.problem import Bounded
 from sim.studies.results import as_document
 from sim.studies.studyfile import Tier
 

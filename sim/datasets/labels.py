@@ -16,10 +16,10 @@ from sim.render.layers import Layers
 from sim.scene import Scene
 from sim.scene.instrument import FULL_SCALE_DN
 from sim.sensor import photons_per_radiance
-from sim.sensor.noise import electrons_of
+from sim.sensor.webcam import electrons_of
 from sim.truth import StripeTruth, line_brightness, sheet_of, stripe_truth
 from sim.truth.light import line_in_space, offset_per_px
-from sim.truth.section import surfaces_of
+from sim.truth.surfaces import surfaces_of
 from sim.water import water_optics
 
 CORE = 3.0  # standard deviations on either side of the line's centre

@@ -24,8 +24,7 @@ from sim.render.tank import Tank
 from sim.scene import Scene
 from sim.scene.file import is_changing
 from sim.sensor import Webcam
-from sim.sensor.noise import jpeg_bytes
-from sim.sensor.webcam import StillView
+from sim.sensor.webcam import StillView, jpeg_bytes
 
 # What the webcam sees from each place of the head, rendered once and kept.
 
@@ -114,7 +113,7 @@ CameraFault = Literal["hang", "drop", "black", "wrong-size", "frozen"]
 wrong-size: from now on half as wide and high.  frozen: the same picture, byte for byte."""
 LONG_MOVE_S = 0.25  # longer than a step of a scan takes, and not much longer than a picture
 PASSING_S = 0.02  # how often a further thread looks whether the head moves
-SEED_STREAM = 4  # of the sensor's seed; 0 to 3 are taken (sim.sensor.noise)
+SEED_STREAM = 4  # of the sensor's seed; 0 to 3 are taken (sim.sensor.webcam)
 
 
 @dataclass(frozen=True)

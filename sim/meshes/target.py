@@ -6,28 +6,33 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import shapely
 import trimesh
+from shapely.geometry import Point, Polygon, box
+from shapely.ops import unary_union
 
+from lscan.config.board import Board
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.files.meshes import MM_PER_UNIT, UNREAD, load_mesh
-from sim.meshes.board import board_parts
+from lscan.records import Floats
 from sim.meshes.parts import (
     Finish,
     MeshPart,
+    grid_faces,
+    grooved_block_mesh,
     move_part,
     picture_paint,
     plain_mesh,
+    plane_mesh,
     reflectance_at,
-    vertex_paint,
-)
-from sim.meshes.workpieces import (
-    grooved_block_mesh,
     rough_block_mesh,
     sanded_sandwave_mesh,
     sandwave_parts,
+    vertex_paint,
 )
 from sim.scene import Scene, floor_corners_mm, target_pose
+from sim.scene.errors import BoardErrors, TrueBoard
 from sim.scene.matter import Texture
 
 MARKS = "marks"  # the one part of a board that a texture leaves as it is
@@ -150,3 +155,109 @@ def _naming_file(scene: Scene, key: str) -> Iterator[None]:
         yield
     except InputError as error:
         raise InputError(f"{key}: {error}", where=scene.source) from error
+
+
+# The calibration board as meshes, exact to the board file but for its circles' corners.
+
+
+# A polygon of so many corners departs from its circle by 3e-4 of the radius: 1 µm on a dot.
+CIRCLE_CORNERS = 96
+# Its corners lie that much farther out than the circle, so that its area and the mean radius
+# of its outline are the circle's, to the fourth order of pi / corners.
+CORNERS_OUT = 1 + (np.pi / CIRCLE_CORNERS) ** 2 / 3
+BOARD_PARTS = ("plate", "marks", "plate-body")
+BEHIND_MM = 1e-3  # that the plate's body lies behind plate and marks
+
+
+def board_parts(
+    board: Board, plate_albedo: float, mark_albedo: float, errors: BoardErrors | None = None
+) -> list[MeshPart]:
+    """The board in the head frame: plate with holes, marks in the holes, and the plate's back.
+
+    The face lies in y = 0, or is bent about it, and looks towards the camera (-y); marks are flush
+    with it, as drilled holes filled with clay are.
+    """
+    true = TrueBoard(board, errors or BoardErrors())
+    marks = unary_union(_mark_polygons(true))
+    left, right, bottom, top = board.outline_mm()
+    plate = box(left, bottom, right, top)
+    outside = marks.difference(plate)
+    if not outside.is_empty:
+        raise InputError("board: marks reach beyond the plate", allowed="a larger margin_mm")
+    albedos = {"dark": (plate_albedo, mark_albedo), "bright": (mark_albedo, plate_albedo)}
+    ground, ink = albedos[board.marks]
+    face = _face_mesh(true, plate.difference(marks)), _face_mesh(true, marks)
+    meshes = *face, plate_mesh(true, BEHIND_MM)
+    return [
+        MeshPart(*part) for part in zip(BOARD_PARTS, meshes, (ground, ink, ground), strict=True)
+    ]
+
+
+def plate_mesh(true: TrueBoard, front_mm: float = 0.0) -> trimesh.Trimesh:
+    """The plate without marks, closed, in the board's frame.
+
+    Parameters
+    ----------
+    true : TrueBoard, of whose facets front and back are made
+    front_mm : float, mm, how far behind the board's face its own lies
+    """
+    if not true.is_bent:
+        left, right, bottom, top = true.board.outline_mm()
+        back_mm = true.board.plate.thickness_mm
+        return trimesh.creation.box(bounds=[[left, front_mm, bottom], [right, back_mm, top]])
+    x, z = true.facets_mm()
+    across, up = np.meshgrid(x, z)
+    count, index = across.size, np.arange(across.size).reshape(across.shape)
+    planes = [
+        np.column_stack([across.ravel(), np.full(count, y), up.ravel()])
+        for y in (front_mm, true.board.plate.thickness_mm)
+    ]
+    front = grid_faces(*across.shape)
+    here = np.concatenate([index[0, :-1], index[:-1, -1], index[-1, :0:-1], index[:0:-1, 0]])
+    there = np.roll(here, -1)
+    sides = [(here, here + count, there), (there, here + count, there + count)]
+    faces = [front, front[:, ::-1] + count, *(np.column_stack(side) for side in sides)]
+    return plain_mesh(true.bent(np.vstack(planes)), np.vstack(faces))
+
+
+def _face_mesh(true: TrueBoard, shape: shapely.Geometry) -> trimesh.Trimesh:
+    """What lies in the board's face within a shape; cut along the facets where that is bent."""
+    if not true.is_bent:
+        return plane_mesh(shape, (0, 2))
+    left, right, bottom, top = true.board.outline_mm()
+    x, z = true.facets_mm()
+    columns, rows = shapely.box(x[:-1], bottom, x[1:], top), shapely.box(left, z[:-1], right, z[1:])
+    pieces = shapely.get_parts(shapely.intersection(shape, columns))
+    pieces = shapely.get_parts(shapely.intersection(pieces[:, np.newaxis], rows).ravel())
+    mesh = plane_mesh(shapely.MultiPolygon(pieces[shapely.area(pieces) > 0].tolist()), (0, 2))
+    mesh.vertices = true.bent(np.asarray(mesh.vertices))
+    return mesh
+
+
+def _mark_polygons(true: TrueBoard) -> list[Polygon]:
+    board, (grid, *rulers, dots, rings) = true.board, true.shifts_mm()
+
+    def discs(places: Floats, diameter_mm: float, shifts: Floats) -> list[Polygon]:
+        pairs = zip(places, shifts, strict=True)
+        return [_printed_outline(true, _disc(place, diameter_mm), shift) for place, shift in pairs]
+
+    polygons = discs(board.grid.points_mm(), board.grid.dot_diameter_mm, grid)
+    for ruler, shifts in zip(board.ruler, rulers, strict=True):
+        polygons += discs(ruler.points_mm(), ruler.mark_diameter_mm, shifts)
+    for dot, shift in zip(board.dot, dots, strict=True):
+        polygons += discs(np.array([[dot.x_mm, dot.z_mm]]), dot.diameter_mm, shift[np.newaxis])
+    for ring, shift in zip(board.ring, rings, strict=True):
+        centre = np.array([ring.x_mm, ring.z_mm])
+        outer = _disc(centre, ring.diameter_mm + ring.width_mm)
+        milled = outer.difference(_disc(centre, ring.diameter_mm - ring.width_mm))
+        polygons.append(_printed_outline(true, milled, shift))
+    return polygons
+
+
+def _printed_outline(true: TrueBoard, mark: Polygon, shift: Floats) -> Polygon:
+    """A nominal mark as it is printed."""
+    return shapely.transform(mark, lambda places: true.printed_places(places, shift))
+
+
+def _disc(centre: Floats, diameter_mm: float) -> Polygon:
+    return Point(*centre).buffer(diameter_mm / 2 * CORNERS_OUT, quad_segs=CIRCLE_CORNERS // 4)

@@ -23,7 +23,7 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from lscan.records import Floats, Ints, Mask, select
 from sim.meshes import MeshPart
-from sim.meshes.board import BOARD_PARTS
+from sim.meshes.target import BOARD_PARTS
 from sim.render.backend import flushing
 from sim.render.plugins.arrays import floats, indices, vectors
 from sim.water import Optics

@@ -18,13 +18,18 @@ from lscan.files.cache import long_work
 from lscan.records import Floats, Progress
 from sim.render.plugins.arrays import floats, opaque
 from sim.render.plugins.water import PhaseTable
-from sim.water import Optics, planes
-from sim.water.planes import ANGLE_AXIS, PlaneCounts
+from sim.water import Optics
 from sim.water.spread import (
+    ANGLE_AXIS,
     EDGES_FROM,
+    PLANE_RINGS,
+    PLANE_RINGS_FROM,
+    PLANE_RINGS_TO,
     RINGS,
+    SECTORS,
     Crossings,
     OnceScattered,
+    PlaneCounts,
     Spread,
     once_scattered,
     tabulate,
@@ -89,7 +94,7 @@ def plane_crossings(
     tilts : (T,) rad, between the planes' normals and the beam, 0 to less than pi / 2
     photons : int, how many at least, shared out to the tilts
     """
-    shape = len(tilts), len(distances), planes.RINGS, planes.SECTORS
+    shape = len(tilts), len(distances), PLANE_RINGS, SECTORS
     walk = _ToPlanes(phase, albedo, distances, int(np.prod(shape)))
     walk.tilts, walk.kinds = floats(tilts), len(tilts)
     each = walk.send(-(-photons // len(tilts)) * len(tilts), seed, progress) // len(tilts)
@@ -224,13 +229,13 @@ class _ToPlanes(_Walk):
 
     def count(self, at: _Crossing) -> None:
         angle = dr.atan2(dr.hypot(at.place.x, at.place.y), at.place.z)
-        inner, outer = planes.RINGS_FROM, planes.RINGS_TO
-        ring = (dr.log(dr.maximum(angle, 1e-9)) - log(inner)) * (planes.RINGS / log(outer / inner))
-        scored = at.active & (at.order > 1) & (ring >= 0) & (ring < planes.RINGS)
-        sector = dr.abs(dr.atan2(at.place.y, at.place.x)) * (planes.SECTORS / np.pi)
-        sector = mi.UInt32(dr.minimum(sector, planes.SECTORS - 1))
-        cell = (at.lane % self.kinds * self.surfaces + at.surface) * planes.RINGS + mi.UInt32(ring)
-        cell = cell * planes.SECTORS + sector
+        inner, outer = PLANE_RINGS_FROM, PLANE_RINGS_TO
+        ring = (dr.log(dr.maximum(angle, 1e-9)) - log(inner)) * (PLANE_RINGS / log(outer / inner))
+        scored = at.active & (at.order > 1) & (ring >= 0) & (ring < PLANE_RINGS)
+        sector = dr.abs(dr.atan2(at.place.y, at.place.x)) * (SECTORS / np.pi)
+        sector = mi.UInt32(dr.minimum(sector, SECTORS - 1))
+        cell = (at.lane % self.kinds * self.surfaces + at.surface) * PLANE_RINGS + mi.UInt32(ring)
+        cell = cell * SECTORS + sector
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, mi.Float64(at.weight), cell, scored)
 
     def _down(self, lane: mi.UInt32) -> mi.Vector3f:

@@ -14,8 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lscan.records import Floats, Mask
-from sim.studies.indices import Bounded, Indices
-from sim.studies.problem import AFTER, ALL, BASE, Output, alone, columns
+from sim.studies.problem import AFTER, ALL, BASE, Bounded, Indices, Output, alone, columns
 
 # A finished study as plain data: of each output, cause by cause, where its error comes from.
 #

@@ -21,8 +21,7 @@ from sim.studies.budget import (
     Tolerances,
 )
 from sim.studies.design.catalogue import CLASSES
-from sim.studies.indices import Bounded
-from sim.studies.problem import AFTER
+from sim.studies.problem import AFTER, Bounded
 
 # What Plotly draws on the page of a study: traces and layouts as plain data.
 #

@@ -21,9 +21,7 @@ from lscan.records import Floats, Progress
 from lscan.version import __version__
 from sim.scene import Scene, scene_of
 from sim.studies.executor import KILLED, THIS_PROCESS, Workers, calls_done, open_workers
-from sim.studies.rig.evaluation import GeometricRig, RenderedRig
-from sim.studies.rig.prepared import MOST_PREPARED_BYTES, Prepared, prepare
-from sim.studies.store import (
+from sim.studies.results import (
     Batch,
     ProblemSource,
     Results,
@@ -34,6 +32,8 @@ from sim.studies.store import (
     open_store,
     problem_of,
 )
+from sim.studies.rig.evaluation import GeometricRig, RenderedRig
+from sim.studies.rig.prepared import MOST_PREPARED_BYTES, Prepared, prepare
 from sim.studies.studyfile import Study, Tier, study_of
 
 _log = logging.getLogger(__name__)

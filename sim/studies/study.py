@@ -25,9 +25,28 @@ from sim.studies.budget import (
     scatters_of,
 )
 from sim.studies.design.run import design_problem, design_runs, search_designs
-from sim.studies.indices import Indices, next_base, sobol_indices
-from sim.studies.problem import BASE, Design, Output, alone, columns, make_design
-from sim.studies.results import joined_runs, runs_of, write_results
+from sim.studies.problem import (
+    BASE,
+    Design,
+    Indices,
+    Output,
+    alone,
+    columns,
+    make_design,
+    next_base,
+    sobol_indices,
+)
+from sim.studies.results import (
+    Results,
+    ResultStore,
+    distinct_rows,
+    identity_of,
+    joined_runs,
+    open_store,
+    require_same_document,
+    runs_of,
+    write_results,
+)
 from sim.studies.rig.prepared import Prepared
 from sim.studies.rig.states import check_keys
 from sim.studies.running import (
@@ -36,14 +55,6 @@ from sim.studies.running import (
     StudyRunning,
     prepared_of,
     require_at_most,
-)
-from sim.studies.store import (
-    Results,
-    ResultStore,
-    distinct_rows,
-    identity_of,
-    open_store,
-    require_same_document,
 )
 from sim.studies.studyfile import Study, Tier, load_study
 from sim.studies.tiers import (

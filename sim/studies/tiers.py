@@ -15,29 +15,27 @@ from scipy.stats import binomtest
 from lscan.errors import InputError
 from lscan.records import Floats, Mask
 from sim.studies.budget import CauseBudget, OutputBudget, TierRow, Tolerance, Tolerances
-from sim.studies.indices import (
-    CONFIDENCE,
-    Bounded,
-    Indices,
-    interval,
-    moment_pseudo_values,
-    pseudo_values,
-    term_means,
-)
 from sim.studies.problem import (
     AGAIN,
     ALL,
     BASE,
+    CONFIDENCE,
     SETS,
+    Bounded,
     Design,
+    Indices,
     Output,
     alone,
     columns,
+    interval,
     make_design,
     mixed_block,
+    moment_pseudo_values,
+    pseudo_values,
+    term_means,
 )
+from sim.studies.results import OK, Results
 from sim.studies.rig.states import SEEDED
-from sim.studies.store import OK, Results
 from sim.studies.studyfile import Bound, Cause, StudyFile
 
 LARGE = 0.02  # share of the mean square from which on a cause is compared by itself

@@ -11,8 +11,8 @@ from lscan.config.board import Ring
 from lscan.records import BoardReading, Floats, Ints, Mark, Marks, RingPoints, RulerReading, Status
 from sim.scene import Scene, into_head, target_pose
 from sim.truth.camera import project
-from sim.truth.section import surfaces_of
 from sim.truth.stripe import row_positions_mm, travel_mm
+from sim.truth.surfaces import surfaces_of
 from sim.truth.visibility import in_picture, seen
 
 RIM_POINTS = 128  # of a dot's outline, for its area's centroid

@@ -22,10 +22,9 @@ from sim.scene.instrument import FULL_SCALE_DN, Response
 from sim.scene.matter import AmbientLight, Penumbra
 from sim.sensor.radiometry import AMBIENT_NM, photons_per_radiance, speckle_contrast
 from sim.truth.camera import TrueCamera, camera_of, flat_normal, project, rays_to
-from sim.truth.section import surfaces_of
 from sim.truth.sheet import TrueSheet, sheet_of
 from sim.truth.stripe import StripeTruth, row_positions_mm
-from sim.truth.surfaces import Mesh, TankSurface
+from sim.truth.surfaces import Mesh, TankSurface, surfaces_of
 from sim.truth.visibility import apex_xz, fan_angle
 from sim.water import water_optics
 

@@ -18,9 +18,8 @@ from sim.meshes import target_mesh
 from sim.scene import PlanePort, Scene, camera_pose, head_pose, into_world, target_pose
 from sim.truth import project, sheet_of
 from sim.truth.camera import flat_normal
-from sim.truth.section import TargetSection, section_at
 from sim.truth.sheet import TrueSheet
-from sim.truth.surfaces import Mesh
+from sim.truth.surfaces import Mesh, TargetSection, section_at
 from sim.truth.visibility import in_fan, in_picture, passing_mm
 
 MOST_PLACES = 25  # of the plan's, spread evenly, that are looked at

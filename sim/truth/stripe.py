@@ -8,9 +8,8 @@ import numpy as np
 from lscan.records import Axis, Floats, Ints, Mask, Status
 from sim.scene import Scene, head_pose
 from sim.truth.camera import project
-from sim.truth.section import TargetSection, section_at, split, surfaces_of
 from sim.truth.sheet import TrueSheet, sheet_of
-from sim.truth.surfaces import TankSurface, spread
+from sim.truth.surfaces import TankSurface, TargetSection, section_at, split, spread, surfaces_of
 from sim.truth.visibility import in_picture, lit, seen
 
 COARSE_MM = 5.0  # pieces looked at to find out which part of the section is in the picture
@@ -44,7 +43,7 @@ class StripeTruth:
     edge_px : (N,) array, px, distance along the line to the nearer end of the run of neighbouring
         OK columns that ``continues`` joins, 0 at its ends; NaN where not OK
     continues : (N,) array, whether the line runs on into the next column: on the same face, without
-        a gap, without a jump, and on a mesh without a crease (sim.truth.section)
+        a gap, without a jump, and on a mesh without a crease (sim.truth.surfaces)
     multiple : (N,) array, whether the column holds more than one lit and seen point; the uppermost
         (leftmost for rows) is the one given
 

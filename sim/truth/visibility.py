@@ -23,9 +23,8 @@ from sim.scene import (
     track_pose,
 )
 from sim.truth.camera import entry_points, project
-from sim.truth.section import TargetSection, surfaces_of
 from sim.truth.sheet import TrueSheet, sheet_of
-from sim.truth.surfaces import SELF_MM, TankSurface, cross, spread
+from sim.truth.surfaces import SELF_MM, TankSurface, TargetSection, cross, spread, surfaces_of
 
 ALIGNED = TrueSheet(Pose(np.eye(3), np.zeros(3)), bow=None)
 

@@ -10,8 +10,15 @@ of more by photons counted in ``rings``.  ``tablecache`` keeps them.
 """
 
 from lscan.water import refractive_index
-from sim.water.optics import Optics, glass_index, water_index, water_optics
-from sim.water.phase import FournierForand, HenyeyGreensteinMixture, PetzoldTable
+from sim.water.optics import (
+    FournierForand,
+    HenyeyGreensteinMixture,
+    Optics,
+    PetzoldTable,
+    glass_index,
+    water_index,
+    water_optics,
+)
 
 __all__ = [
     "FournierForand", "HenyeyGreensteinMixture", "Optics", "PetzoldTable", "glass_index",

@@ -4,7 +4,7 @@ import numpy as np
 
 from lscan.records import Floats, Mask
 from lscan.roughness import Patch, PowerLaw
-from sim.meshes.workpieces import random_fields
+from sim.meshes.parts import random_fields
 from tests.validation.roughness import fields
 
 PADDING = 4

@@ -11,7 +11,7 @@ from lscan.config.documents import merge
 from lscan.config.rig import RigFile, load_rig, parse_rig
 from sim.emulators import EmulatedHardware
 from sim.scene import Scene, scene_of
-from sim.sensor.noise import from_jpeg
+from sim.sensor.webcam import from_jpeg
 
 PAPER = SCENES / "paper"
 LONG_S = 120.0  # only what hangs takes so long

@@ -24,8 +24,18 @@ from sim.studies.budget import (
     error_maps,
     scatters_of,
 )
-from sim.studies.indices import Bounded, GroupIndices, Indices, Moments
-from sim.studies.problem import ALL, BASE, Output, alone, columns, width
+from sim.studies.problem import (
+    ALL,
+    BASE,
+    Bounded,
+    GroupIndices,
+    Indices,
+    Moments,
+    Output,
+    alone,
+    columns,
+    width,
+)
 
 OUTPUTS = (Output("height", "mm", 80), Output("height.after", "mm", 80), Output("yaw", "deg"))
 XY_MM = np.stack(np.meshgrid(np.linspace(0, 150, 10), np.linspace(0, 110, 8)), axis=-1)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from grbl_line import DirectLine, SimulatedTime
 
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import acquire_into
@@ -12,7 +13,7 @@ from lscan.acquisition.writer import resume_run
 from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Grab
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
-from sim.emulators.grbl import DirectLine, GrblEmulator, SimulatedTime
+from sim.emulators.grbl import GrblEmulator
 
 UNHOMED = {20: 0, 22: 0}  # neither soft limits nor homing, so no alarm at power-up
 START_MM = -50.0  # of the head at power-up, counted from the switches

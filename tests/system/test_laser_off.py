@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 from command_line import call
 from fake_devices import FakeCamera, fake_rig
+from grbl_line import DirectLine, SimulatedTime
 
 import lscan.config.rig
 from lscan.acquisition.run import MANIFEST, frame_file
@@ -29,7 +30,7 @@ from lscan.devices.signals import STOPPING, interrupted_by_signals, stop_signals
 from lscan.errors import DeviceError, DiskError, LscanError
 from lscan.live.server import LiveServer
 from lscan.live.session import Session
-from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, MarlinEmulator, SimulatedTime
+from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator
 
 FRAMES = 3
 QUICK = {20: 0, 22: 0, 110: 50_000, 120: 20_000}  # no homing, no limits; mm/min, mm/s2

@@ -9,7 +9,7 @@ from scipy.special import erf
 from lscan.config.rig import StripeSection
 from lscan.live.analysis import FULL_WIDTH, measure_line
 from lscan.live.server import FOLDER
-from sim.sensor.noise import ColourFilter
+from sim.sensor.webcam import ColourFilter
 
 HEIGHT, WIDTH = 80, 320
 CENTRE_PX = 30.0 + 0.0613 * np.arange(WIDTH)  # in turn anywhere in a pixel

@@ -1,22 +1,13 @@
 """A linear track whose controller answers as Grbl 1.1 or a relative does, or as Marlin.
 
-``GrblEmulator`` is the controller and the axes, ``DirectLine`` a serial line to it in simulated
-time, ``PseudoTerminal`` one that any program opens as a serial port, ``Faults`` what goes wrong.
+``GrblEmulator`` is the controller and the axes, ``PseudoTerminal`` a line to it that any program
+opens as a serial port, ``Faults`` what goes wrong.
 """
 
 from sim.emulators.grbl.controller import GrblEmulator, MarlinEmulator
-from sim.emulators.grbl.machine import DirectLine, Faults, PseudoTerminal, SimulatedTime
-from sim.emulators.grbl.protocol import (
-    DEFAULTS,
-    FLUIDNC,
-    GRBL,
-    GRBL_ESP32,
-    GRBLHAL,
-    GRBLHAL_AS_GRBL,
-    Firmware,
-)
+from sim.emulators.grbl.machine import Faults, PseudoTerminal
+from sim.emulators.grbl.protocol import DEFAULTS, GRBL, Firmware
 
 __all__ = [
-    "DEFAULTS", "FLUIDNC", "GRBL", "GRBLHAL", "GRBLHAL_AS_GRBL", "GRBL_ESP32", "DirectLine",
-    "Faults", "Firmware", "GrblEmulator", "MarlinEmulator", "PseudoTerminal", "SimulatedTime",
+    "DEFAULTS", "GRBL", "Faults", "Firmware", "GrblEmulator", "MarlinEmulator", "PseudoTerminal",
 ]  # fmt: skip

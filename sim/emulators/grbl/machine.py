@@ -130,10 +130,9 @@ class EmulatedController(ABC):
             self._out += line.encode("ascii") + self.line_end
 
 
-# Serial lines to an emulated controller, in simulated time or opened by the system; faults.
+# A serial line to an emulated controller, opened by the system; faults.
 
 
-TICK_S = 0.002  # of simulated time that a read without an answer takes
 POLL_S = 0.002  # between looks at a controller that has not been spoken to
 
 
@@ -182,80 +181,6 @@ def with_garbled_bytes(data: bytes, chance: float, generator: np.random.Generato
     hit = generator.random(values.size) < chance
     other = (values + generator.integers(1, 256, values.size)) % 256
     return np.where(hit, other, values).astype(np.uint8).tobytes()
-
-
-class SimulatedTime:
-    """A clock that goes on only when someone sleeps."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def __call__(self) -> float:
-        """The time, s."""
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        """Let time pass at once.
-
-        Parameters
-        ----------
-        seconds : float, s
-        """
-        self.now_s += seconds
-
-
-class DirectLine:
-    """A serial port without a wire: reading what has not come lets simulated time pass.
-
-    Parameters
-    ----------
-    controller : EmulatedController, at the other end of the line
-    time : SimulatedTime, the controller's clock
-    """
-
-    def __init__(self, controller: EmulatedController, time: SimulatedTime) -> None:
-        self._controller, self._time = controller, time
-        self._waiting = bytearray()
-        self.closed = False
-
-    @property
-    def in_waiting(self) -> int:
-        """Bytes ready to be read."""
-        self._check_open()
-        self._waiting += self._controller.transmit()
-        return len(self._waiting)
-
-    def read(self, size: int) -> bytes:
-        """Up to ``size`` bytes; none after a tick of simulated time.
-
-        Parameters
-        ----------
-        size : int, number of bytes
-        """
-        if not self.in_waiting:
-            self._time.sleep(TICK_S)
-        data = bytes(self._waiting[:size])
-        del self._waiting[:size]
-        return data
-
-    def write(self, data: bytes) -> int:
-        """Send bytes.
-
-        Parameters
-        ----------
-        data : bytes, for the controller
-        """
-        self._check_open()
-        self._controller.receive(data)
-        return len(data)
-
-    def close(self) -> None:
-        """Close the port."""
-        self.closed = True
-
-    def _check_open(self) -> None:
-        if self.closed:
-            raise OSError("the port is closed")
 
 
 class PseudoTerminal:

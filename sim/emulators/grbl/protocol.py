@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal, Self
 
 from sim.emulators.grbl.motion import Place
@@ -119,15 +119,6 @@ class Firmware:
 
 
 GRBL = Firmware("Grbl 1.1h ['$' for help]", tool="line")
-GRBLHAL = Firmware(
-    "GrblHAL 1.1f ['$' or '$HELP' for help]", "never", keeps_offset=True, modes=" G40 G49 G98 G50"
-)
-GRBLHAL_AS_GRBL = replace(GRBLHAL, banner="Grbl 1.1f ['$' for help]", tool="always")
-GRBL_ESP32 = Firmware("Grbl 1.3a ['$' for help]")
-FLUIDNC = Firmware(
-    "Grbl 3.7 [FluidNC v3.7.17 (wifi) '$' for help]",
-    silent_settings=frozenset({*range(7), 11, 12, 13, *range(24, 28), 31}),
-)
 
 
 @dataclass

@@ -24,8 +24,7 @@ from lscan.records import Floats, Mask
 from sim.render.firstorder import HeadRays
 from sim.render.plugins.arrays import floats
 from sim.scene import Head, camera_pose
-from sim.water.planes import LogAxis
-from sim.water.spread import Spread
+from sim.water.spread import LogAxis, Spread
 
 # A map of the camera's view in the water and around it: a stereographic chart of directions.
 #

@@ -23,8 +23,7 @@ from sim.render.plugins.sheet import LaserSheet
 from sim.render.plugins.water import SpreadLookup
 from sim.render.sampled.beams import straight_rays
 from sim.scene import Laser, LaserLine
-from sim.water.planes import LogAxis
-from sim.water.spread import Spread
+from sim.water.spread import LogAxis, Spread
 
 # The lit line of a sheet: short straight segments of surfaces that the sheet lights.
 

@@ -43,7 +43,7 @@ from sim.render.sampled.integrator import SheetIntegrator
 from sim.render.spreads import PHOTONS
 from sim.scene import Pose
 from sim.water import Optics
-from sim.water.planes import ANGLE_AXIS, between_nodes
+from sim.water.spread import ANGLE_AXIS, between_nodes
 from sim.water.tablecache import kept_arrays
 
 # How much of the line's halo the tank's surfaces leave, against what planes in their place would.

@@ -17,15 +17,16 @@ import numpy as np
 
 from lscan.records import Floats
 from sim.render.plugins.arrays import floats, opaque
-from sim.water.planes import (
+from sim.water.spread import (
     ANGLE_AXIS,
     COSINE_AXIS,
+    FARTHEST_RAD,
     HORIZON_ANGLES,
     NEAREST_RAD,
     LogAxis,
+    Spread,
     horizon_depths,
 )
-from sim.water.spread import FARTHEST_RAD, Spread
 
 # The water's phase function in tables: its value, and angles drawn from it two ways.
 

@@ -15,23 +15,25 @@ from lscan.files.disk import make_folder
 from lscan.files.jsonfiles import json_text
 from sim.studies.budget import DesignTrial
 from sim.studies.design.catalogue import DesignSection, load_catalogue
-from sim.studies.design.error import PredictedError, above_bounds, design_rows, height_squares
 from sim.studies.design.search import (
     DesignProblem,
     Judge,
     Judged,
     Parameters,
+    PredictedError,
     RigTrial,
     Run,
+    above_bounds,
+    design_rows,
     front_of,
+    height_squares,
     search,
 )
 from sim.studies.executor import in_order
-from sim.studies.indices import Bounded, interval, pseudo_values
-from sim.studies.problem import SETS
+from sim.studies.problem import SETS, Bounded, interval, pseudo_values
+from sim.studies.results import OK, identity_of, open_store
 from sim.studies.rig.prepared import Prepared
 from sim.studies.running import RigSource, StudyRunning, prepared_of
-from sim.studies.store import OK, identity_of, open_store
 from sim.studies.studyfile import Study
 
 DESIGNS, WINNERS = "designs.json", "winners"

@@ -16,9 +16,8 @@ from sim.scene import Pose, Scene, head_pose, into_world, rotation, target_pose
 from sim.scene.varying import Change, number_at, with_numbers
 from sim.studies.studyfile import Cause, Study
 from sim.truth import StripeTruth, stripe_truths
-from sim.truth.section import surfaces_of, target_surfaces
 from sim.truth.sheet import TrueSheet, sheet_of, sheet_plane
-from sim.truth.surfaces import Wave
+from sim.truth.surfaces import Wave, surfaces_of, target_surfaces
 from sim.truth.visibility import apex_xz, fan_angle
 
 SEEDS = 2**31

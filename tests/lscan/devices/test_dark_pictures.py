@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fake_capture import HEIGHT_PX, WIDTH_PX, World, scene_of
+from grbl_line import DirectLine, SimulatedTime
 
 from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
@@ -15,7 +16,7 @@ from lscan.devices.api import Grab
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
 from lscan.errors import DeviceError
-from sim.emulators.grbl import DirectLine, GrblEmulator, MarlinEmulator, SimulatedTime
+from sim.emulators.grbl import GrblEmulator, MarlinEmulator
 
 LIT, DARK = 2, 1  # scenes of the fake camera
 

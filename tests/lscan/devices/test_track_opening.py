@@ -4,10 +4,11 @@ import logging
 from typing import Any
 
 import pytest
+from grbl_line import DirectLine, SimulatedTime
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.errors import DeviceError
-from sim.emulators.grbl import DirectLine, GrblEmulator, MarlinEmulator, SimulatedTime
+from sim.emulators.grbl import GrblEmulator, MarlinEmulator
 
 FASTEST_MM_MIN = 1234.5
 

@@ -7,7 +7,7 @@ from hypothesis import example, given, strategies as st
 from rough_patches import drawn, holes, patch, wave, whole
 
 from lscan.roughness import Patch, PowerLaw, find_ripples, fit_waves, ripple_spread
-from sim.meshes.workpieces import random_fields
+from sim.meshes.parts import random_fields
 
 SHAPE, CELL_CM, WAVES = (64, 64), 0.5, 12  # 5 cells a wave
 SIZE = 2 * np.pi * WAVES / (SHAPE[0] * CELL_CM)

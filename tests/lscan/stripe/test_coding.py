@@ -14,7 +14,7 @@ from lscan.devices.trials import try_camera
 from lscan.stripe import extract_stripe
 from lscan.stripe.extract import extract_stripes
 from lscan.stripe.picture import is_coded
-from sim.sensor.noise import from_jpeg, jpeg_bytes
+from sim.sensor.webcam import from_jpeg, jpeg_bytes
 
 READ, GAIN, SPECKLE = 0.9, 0.017, 0.2
 SETTINGS = settings_for(READ, GAIN, SPECKLE).model_copy(update={"extractor": "ml"})

@@ -26,9 +26,8 @@ from lscan.errors import DiskError, InputError
 from lscan.files.datasets import MEMBERS, MOST_PICTURES, PictureDataset, run_lengths
 from lscan.records import Status
 from sim.cli.app import app
-from sim.datasets import dataset as making, datasetshards
-from sim.datasets.dataset import make_dataset
-from sim.datasets.datasetshards import Format, ShardTask, kept_record, packed_shard
+from sim.datasets import dataset as making
+from sim.datasets.dataset import Format, ShardTask, kept_record, make_dataset, packed_shard
 from sim.datasets.datasetspec import load_dataset_spec
 from sim.datasets.labels import Label
 from sim.render.tank import Tank, surfaces_seen
@@ -220,7 +219,7 @@ def test_what_ends_a_shard_costs_the_picture_under_way_alone(
             return {name: f"{name} {drawn}".encode() for name in MEMBERS}
 
         shown.clear()
-        monkeypatch.setattr(datasetshards, "picture_files", picture)
+        monkeypatch.setattr(making, "picture_files", picture)
 
     pictures(None)
     whole = make_dataset(spec, tmp_path / "whole", 4, form=form, workers="none")
@@ -244,9 +243,7 @@ def test_memory_holds_a_picture_at_a_time(
 ) -> None:
     """Of 12 pictures of 4 MB: three copies at most, of one and its archive, and of the next."""
     size = 1 << 20
-    monkeypatch.setattr(
-        datasetshards, "picture_files", lambda *_: dict.fromkeys(MEMBERS, b"1" * size)
-    )
+    monkeypatch.setattr(making, "picture_files", lambda *_: dict.fromkeys(MEMBERS, b"1" * size))
     spec = load_dataset_spec(spec_file(tmp_path, tank_pictures=12))
     make_dataset(spec, tmp_path / "first", 1, form=form, workers="none")  # what is made once
     tracemalloc.start()
@@ -370,9 +367,9 @@ def test_a_shard_that_the_disk_has_no_room_for_leaves_nothing(
         to.write_bytes(b"half of it")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setitem(datasetshards.WRITERS, "webdataset", full)
+    monkeypatch.setitem(making.WRITERS, "webdataset", full)
     pictures = dict.fromkeys(MEMBERS, b"one")
-    monkeypatch.setattr(datasetshards, "picture_files", lambda *_: pictures)
+    monkeypatch.setattr(making, "picture_files", lambda *_: pictures)
     with pytest.raises(DiskError, match="make room"):
         made(tmp_path, "set")
     assert list((tmp_path / "set").glob(".*")) == list((tmp_path / "set").glob("*.tar")) == []

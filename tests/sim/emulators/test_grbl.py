@@ -2,10 +2,11 @@
 
 import pytest
 from drawn_examples import examples
+from grbl_line import SimulatedTime
 from hypothesis import given, strategies as st
 
 from lscan.devices.grbl.dialogue import StatusReport, parse_line
-from sim.emulators.grbl import GrblEmulator, SimulatedTime
+from sim.emulators.grbl import GrblEmulator
 from sim.emulators.grbl.motion import Ramp
 
 FREE = {20: 0, 22: 0}  # no homing, no soft limits: nothing is locked

@@ -3,16 +3,10 @@
 import re
 
 import pytest
+from grbl_line import GRBLHAL, GRBLHAL_AS_GRBL, SimulatedTime
 from places import ROOT
 
-from sim.emulators.grbl import (
-    GRBL,
-    GRBLHAL,
-    GRBLHAL_AS_GRBL,
-    GrblEmulator,
-    MarlinEmulator,
-    SimulatedTime,
-)
+from sim.emulators.grbl import GRBL, GrblEmulator, MarlinEmulator
 
 MACHINE = {20: 0, 22: 0, 110: 500, 120: 10}  # of the simulators, which is slow enough to be met
 COLUMNS = {"Grbl 1.1h": GRBL, "grblHAL, level 0": GRBLHAL, "grblHAL, level 1": GRBLHAL_AS_GRBL}

@@ -24,7 +24,7 @@ from sim.devices import SimCamera, SimTrack, TrackOptions
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.emulators.webcam import SNAPSHOT_S, Shot, _Client
 from sim.scene import Scene
-from sim.sensor.noise import from_jpeg, jpeg_bytes
+from sim.sensor.webcam import from_jpeg, jpeg_bytes
 
 pytestmark = pytest.mark.xdist_group("serve")  # one worker: they share a fixture
 

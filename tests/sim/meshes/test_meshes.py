@@ -15,14 +15,14 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from lscan.files.meshes import load_mesh
 from sim.meshes import Finish, reflectance_at, scene_parts, target_parts
-from sim.meshes.board import CIRCLE_CORNERS, board_parts
-from sim.meshes.parts import luminance
-from sim.meshes.workpieces import (
+from sim.meshes.parts import (
     WAVE_STEP_MM,
     grooved_block_mesh,
+    luminance,
     sanded_sandwave_mesh,
     sandwave_parts,
 )
+from sim.meshes.target import CIRCLE_CORNERS, board_parts
 from sim.scene import Scene, load_scene
 from sim.scene.matter import Sand, Texture
 from tests.validation.light.gallery import scene_files

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from lscan.errors import InputError
 from lscan.records import Floats, Status
-from sim.meshes.workpieces import ripple_heights, rough_block_mesh, rough_density, rough_heights
+from sim.meshes.parts import ripple_heights, rough_block_mesh, rough_density, rough_heights
 from sim.scene import Scene, into_world, load_scene, target_pose
 from sim.scene.matter import Ripples, RoughBlock
 from sim.truth import stripe_truths

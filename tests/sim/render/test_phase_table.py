@@ -15,7 +15,7 @@ from sim.render.plugins.arrays import floats
 from sim.render.plugins.water import FINEST, FLAT, SCALE, PhaseTable, angle_between, approach
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
-from sim.water.phase import TABLE_RAD
+from sim.water.optics import TABLE_RAD
 
 WATERS = {
     "mixture": Water(particle_scattering_per_m=0.5),

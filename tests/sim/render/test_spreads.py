@@ -24,8 +24,7 @@ from sim.render.spreads import (
 )
 from sim.scene.matter import Water
 from sim.water import Optics, water_optics
-from sim.water.planes import ANGLE_AXIS, between_nodes
-from sim.water.spread import Spread
+from sim.water.spread import ANGLE_AXIS, Spread, between_nodes
 
 PHOTONS = 2**14
 WATER = water_optics(Water(kind="harbor"), 640.0)  # of no scene: no tables of it are shipped

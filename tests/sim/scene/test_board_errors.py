@@ -14,7 +14,7 @@ from lscan.config.rig import load_rig, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats, Status
 from sim.meshes import scene_parts
-from sim.meshes.board import board_parts, plate_mesh
+from sim.meshes.target import board_parts, plate_mesh
 from sim.scene import Scene, load_scene, scene_of
 from sim.scene.errors import FACET_MM, BoardErrors, TrueBoard, parabola
 from sim.truth import board_truth, project, stripe_truth

@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 from sensor_scenes import EXPOSURE_MS, layers_of, line, sensor_scene
 
 from sim.sensor import Webcam
-from sim.sensor.noise import ColourFilter, through_jpeg
+from sim.sensor.webcam import ColourFilter, through_jpeg
 
 PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from sim.sensor.noise import standard_normal
+from sim.sensor.webcam import standard_normal
 
 SHAPE = (1000, 2000)
 

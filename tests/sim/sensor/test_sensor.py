@@ -8,7 +8,7 @@ from sensor_scenes import EXPOSURE_MS, layers_of, sensor_scene
 
 from sim.scene import Scene, Sensor
 from sim.sensor import Webcam, digitise
-from sim.sensor.noise import electrons_of, fixed_pattern, read_out
+from sim.sensor.webcam import electrons_of, fixed_pattern, read_out
 
 
 def picture(scene: Scene, seed: int = 1, **radiance: float) -> np.ndarray:

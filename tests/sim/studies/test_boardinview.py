@@ -12,7 +12,7 @@ from lscan.records import Floats
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene, scene_of
 from sim.sensor import Webcam
-from sim.studies.design.error import require_rim
+from sim.studies.design.search import require_rim
 
 pytestmark = pytest.mark.xdist_group("board_in_view")  # one worker: they share a fixture
 

@@ -17,8 +17,7 @@ from study_examples import (
 )
 
 from sim.studies.budget import CauseFacts, StudyRuns, budgets_of, error_maps, errors_in, scatters_of
-from sim.studies.indices import Bounded
-from sim.studies.problem import ALL, BASE, Output, alone
+from sim.studies.problem import ALL, BASE, Bounded, Output, alone
 
 ALONE_RUNS, MIXED = 400, 2048
 FOUR_SIGMAS = 4.0  # 60 figures are compared: one in 15,000 beyond by chance is one in 250 in all

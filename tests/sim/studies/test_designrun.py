@@ -13,14 +13,14 @@ from lscan.errors import InputError
 from lscan.records import Floats
 from sim.meshes import reflectance_at
 from sim.studies.budget import StudyResults
-from sim.studies.design.error import (
+from sim.studies.design.run import DESIGNS
+from sim.studies.design.search import (
     AboveBounds,
     PredictedError,
     above_bounds,
     marks_sigma_px,
     predicted_pictures,
 )
-from sim.studies.design.run import DESIGNS
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig
 from sim.studies.running import StudyOptions

@@ -9,8 +9,22 @@ from hypothesis import given, strategies as st
 from SALib.analyze import sobol
 
 from lscan.records import Floats
-from sim.studies.indices import Bounded, Indices, interval, moments, next_base, sobol_indices
-from sim.studies.problem import AGAIN, ALL, SETS, Design, Output, alone, make_design, mixed_block
+from sim.studies.problem import (
+    AGAIN,
+    ALL,
+    SETS,
+    Bounded,
+    Design,
+    Indices,
+    Output,
+    alone,
+    interval,
+    make_design,
+    mixed_block,
+    moments,
+    next_base,
+    sobol_indices,
+)
 from tests.validation.studies.coverage import ClosedForm, ishigami, sobol_g
 
 BASE = 512

@@ -26,8 +26,8 @@ from sim.studies.executor import (
     package_versions,
     workers_of,
 )
+from sim.studies.results import OK, Results, ResultStore, distinct_rows, identity_of, open_store
 from sim.studies.running import TARGET_S, Batches, cost_estimate, prepared_of, run_rows
-from sim.studies.store import OK, Results, ResultStore, distinct_rows, identity_of, open_store
 from tests.validation.studies.running import (
     ROWS,
     StubSource,

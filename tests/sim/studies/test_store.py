@@ -13,7 +13,7 @@ import pytest
 from lscan.errors import DiskError, InputError
 from lscan.records import Floats
 from sim.studies.problem import Output
-from sim.studies.store import (
+from sim.studies.results import (
     FORMER,
     MANIFEST,
     OK,

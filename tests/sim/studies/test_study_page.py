@@ -12,8 +12,8 @@ from playwright.sync_api import Page
 from study_examples import GROUPS, REASONS, strange_results, study_results
 
 from sim.studies.budget import CauseBudget, OutputBudget, StudyResults
-from sim.studies.indices import Bounded
 from sim.studies.page import figure, front_plot, headline, render_page, share, tolerance_sentence
+from sim.studies.problem import Bounded
 from tests.validation.browser import wait_for
 
 WITHOUT_END = {"meta", "link", "br", "img", "input"}

@@ -12,7 +12,6 @@ import sim.studies.running as running_module
 from lscan.errors import InputError, MeasurementError
 from lscan.records import Floats
 from sim.scene import load_scene
-from sim.studies.indices import Indices, TermMeans, moments, set_sums, sobol_indices, term_means
 from sim.studies.problem import (
     AGAIN,
     ALL,
@@ -20,11 +19,17 @@ from sim.studies.problem import (
     NOMINAL,
     SETS,
     Design,
+    Indices,
     Output,
+    TermMeans,
     alone,
     columns,
     make_design,
     mixed_block,
+    moments,
+    set_sums,
+    sobol_indices,
+    term_means,
 )
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig, RenderedRig

@@ -18,9 +18,8 @@ from sim.studies import running, tiers as module
 from sim.studies.budget import Tolerances
 from sim.studies.page import tolerance_sentence
 from sim.studies.problem import Output
-from sim.studies.results import load_results
+from sim.studies.results import Results, load_results
 from sim.studies.running import StudyOptions
-from sim.studies.store import Results
 from sim.studies.study import run_study
 from sim.studies.studyfile import Bound, StudyFile
 from sim.studies.tiers import (

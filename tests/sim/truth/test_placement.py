@@ -21,8 +21,7 @@ from sim.devices import SimTrack, TrackOptions, camera_driver, load_checked
 from sim.meshes import scene_parts, target_mesh
 from sim.scene import Pose, Scene
 from sim.truth.placement import check_placement, gaps_of, inside
-from sim.truth.section import surfaces_of
-from sim.truth.surfaces import Polygon
+from sim.truth.surfaces import Polygon, surfaces_of
 
 FLOOR_MM = -100.0
 

@@ -10,8 +10,8 @@ from truth_scenes import tank
 from lscan.records import Status
 from sim.scene import Scene
 from sim.truth import StripeTruth, stripe_truth
-from sim.truth.section import surfaces_of
 from sim.truth.stripe import _join_rows, row_positions_mm, standing_truth
+from sim.truth.surfaces import surfaces_of
 
 HEIGHT = 480
 

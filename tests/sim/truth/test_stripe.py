@@ -18,9 +18,8 @@ from lscan.records import Status
 from sim.scene import Pose, Scene, head_pose, target_pose
 from sim.truth import StripeTruth, project, slice_visibility, stripe_truth, stripe_truths
 from sim.truth.camera import entry_points
-from sim.truth.section import grooved_block_surfaces, surfaces_of
 from sim.truth.stripe import ColumnCrossings, edge_distance, is_continued
-from sim.truth.surfaces import SELF_MM, Mesh
+from sim.truth.surfaces import SELF_MM, Mesh, grooved_block_surfaces, surfaces_of
 from sim.truth.visibility import is_blocked, passing_mm
 
 FEW = examples(10)

@@ -10,7 +10,7 @@ from water_sphere import integral
 
 from lscan.errors import InputError
 from sim.water import FournierForand, HenyeyGreensteinMixture, PetzoldTable
-from sim.water.phase import (
+from sim.water.optics import (
     TABLE_PER_SR,
     TABLE_RAD,
     henyey_greenstein,

@@ -11,8 +11,7 @@ from scipy.integrate import quad_vec
 from lscan.records import Floats
 from sim.scene.matter import Water
 from sim.water import water_optics
-from sim.water.planes import ANGLE_AXIS, LogAxis, between_nodes
-from sim.water.spread import OnceScattered, once_scattered
+from sim.water.spread import ANGLE_AXIS, LogAxis, OnceScattered, between_nodes, once_scattered
 
 PHASES = {
     name: water_optics(Water(particle_scattering_per_m=1.0, phase=name), 650.0).phase

@@ -15,8 +15,7 @@ from sim.water import (
     refractive_index,
     water_optics,
 )
-from sim.water.optics import absorption_per_m, molecular_scattering_per_m
-from sim.water.phase import molecular_phase
+from sim.water.optics import absorption_per_m, molecular_phase, molecular_scattering_per_m
 
 # docs/explanation/physics.md, section 2: printed absorption and scattering, 1/m.
 PETZOLD_532 = [("clear", 0.069, 0.080), ("coastal", 0.088, 0.216), ("harbor", 0.295, 1.875)]

@@ -11,7 +11,7 @@ from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Floats, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.peaks import FWHM
-from sim.sensor.noise import ColourFilter
+from sim.sensor.webcam import ColourFilter
 from tests.validation.exposures import band_miss_percent, share_inside
 from tests.validation.rows import Row, row
 

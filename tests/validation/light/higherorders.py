@@ -14,7 +14,7 @@ from lscan.records import Floats, Mask, Status
 from lscan.stripe import find_extractor
 from sim.render.tank import Tank
 from sim.sensor import Webcam
-from sim.sensor.noise import electrons_of
+from sim.sensor.webcam import electrons_of
 from tests.validation.light.judge import Judged, JudgeEffort, judge
 from tests.validation.light.rigs import TARGETS, LightCase, light_case, topic
 from tests.validation.rows import FAULT, LEAST_POWER, Row, Topic, measured_rows, power_of, row

@@ -24,12 +24,19 @@ from sim.water import (
     Optics,
     PetzoldTable,
     glass_index,
-    planes,
     refractive_index,
     water_optics,
 )
 from sim.water.optics import absorption_per_m, molecular_scattering_per_m
-from sim.water.spread import Spread, ring_edges, solid_angles
+from sim.water.spread import (
+    PLANE_RINGS,
+    PLANE_RINGS_FROM,
+    PLANE_RINGS_TO,
+    SECTORS,
+    Spread,
+    ring_edges,
+    solid_angles,
+)
 from tests.validation.light.rigs import page_figure, reference, topic
 from tests.validation.rows import Row, Topic, row
 
@@ -289,7 +296,7 @@ def plane_missed(spread: Spread, water: Optics, photons: int) -> tuple[float, fl
     counts = plane_crossings(water.phase, albedo, depths, tilts, photons, OTHER_SEED)
     expected = np.array([on_planes(spread, tilt, depths) for tilt in tilts])
     found = np.where(np.isnan(expected), 0, counts.weight / counts.photons)
-    shape = len(tilts), len(depths), 3, planes.RINGS // 3, 2, planes.SECTORS // 2
+    shape = len(tilts), len(depths), 3, PLANE_RINGS // 3, 2, SECTORS // 2
     expected, found = (
         np.nan_to_num(power).reshape(shape).sum(axis=(3, 5)) for power in (expected, found)
     )
@@ -311,8 +318,8 @@ def on_planes(spread: Spread, tilt: float, distances: Floats) -> Floats:
     distances : (K,) where the planes cross the beam, optical depths
     """
     spread = replace(spread, once=replace(spread.once, table=0 * spread.once.table))
-    rings, sectors = PARTS * planes.RINGS, PARTS * planes.SECTORS
-    edges = np.geomspace(planes.RINGS_FROM, planes.RINGS_TO, rings + 1)
+    rings, sectors = PARTS * PLANE_RINGS, PARTS * SECTORS
+    edges = np.geomspace(PLANE_RINGS_FROM, PLANE_RINGS_TO, rings + 1)
     theta = np.sqrt(edges[:-1] * edges[1:]).reshape(-1, 1)
     solid = 2 * np.pi / sectors * np.diff(-np.cos(edges)).reshape(-1, 1)
     azimuth = (np.arange(sectors) + 0.5) * np.pi / sectors
@@ -323,6 +330,6 @@ def on_planes(spread: Spread, tilt: float, distances: Floats) -> Floats:
     seen = (cosine > STEEPEST) & (depth < 0.7 * spread.farthest)
     received = spread.irradiance(theta, depth, steep, aside, depth) * depth**2 / steep * solid
     parts = np.where(seen, received, np.nan).reshape(
-        len(distances), planes.RINGS, PARTS, planes.SECTORS, PARTS
+        len(distances), PLANE_RINGS, PARTS, SECTORS, PARTS
     )
     return np.asarray(np.sum(parts, axis=(2, 4)))

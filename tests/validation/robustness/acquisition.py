@@ -34,7 +34,7 @@ from lscan.surface import Alignment, resample
 from lscan.surface.surface import to_profile
 from sim.emulators import EmulatedHardware, ServeOptions
 from sim.scene import scene_of
-from sim.sensor.noise import from_jpeg, jpeg_bytes
+from sim.sensor.webcam import from_jpeg, jpeg_bytes
 from tests.validation.robustness.effort import HardwareEffort
 from tests.validation.rows import Row, row
 

@@ -23,7 +23,8 @@ from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.files.disk import packaged_table
 from lscan.records import Bytes
-from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, SimulatedTime
+from sim.emulators.grbl import Faults, GrblEmulator
+from tests.support.grbl_line import DirectLine, SimulatedTime
 
 # What a test picture carries in its pixels: which exposure it is, when and where it was taken.
 

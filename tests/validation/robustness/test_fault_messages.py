@@ -10,6 +10,7 @@ import cv2
 import pytest
 import typer
 from fake_capture import HEIGHT_PX, WIDTH_PX, FakeCapture, World, scene_of
+from grbl_line import DirectLine, SimulatedTime
 
 from lscan.cli.console import run_command_line
 from lscan.config.rig import CameraSection
@@ -17,7 +18,7 @@ from lscan.devices.grbl import SerialTrackOptions, open_track
 from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
 from lscan.errors import DeviceError, InputError
 from lscan.files.disk import disk_errors, read_bytes, write_atomically
-from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, SimulatedTime
+from sim.emulators.grbl import Faults, GrblEmulator
 
 SECTION = CameraSection(driver="opencv", width_px=WIDTH_PX, height_px=HEIGHT_PX)
 

@@ -24,7 +24,7 @@ from lscan.roughness import (
     roughness_of,
     sediment,
 )
-from sim.meshes.workpieces import rough_heights
+from sim.meshes.parts import rough_heights
 from sim.scene import Scene, into_world, load_scene, target_pose
 from sim.scene.matter import RoughBlock
 from tests.validation.exposures import read_scan

@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 from lscan.records import Floats, Mask
 from lscan.roughness import Patch, PowerLaw, PowerLawFit, find_ripples, fit_power_law
-from sim.meshes.workpieces import random_fields, ripple_heights
+from sim.meshes.parts import random_fields, ripple_heights
 from sim.scene.matter import Ripples
 from tests.validation.rows import Row, row
 

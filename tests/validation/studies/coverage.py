@@ -7,8 +7,16 @@ import numpy as np
 from scipy.special import ndtri
 
 from lscan.records import Floats, Mask
-from sim.studies.indices import Bounded, sobol_indices
-from sim.studies.problem import AGAIN, ALL, SETS, Output, make_design, mixed_block
+from sim.studies.problem import (
+    AGAIN,
+    ALL,
+    SETS,
+    Bounded,
+    Output,
+    make_design,
+    mixed_block,
+    sobol_indices,
+)
 from sim.studies.tiers import beginnings, pad_rows
 from tests.validation.exposures import band_miss_percent
 from tests.validation.rows import Row, row

@@ -25,8 +25,8 @@ from lscan.files.disk import read_text
 from lscan.records import Floats
 from sim.studies.executor import open_workers
 from sim.studies.problem import Output
+from sim.studies.results import Results, identity_of, open_store
 from sim.studies.running import run_rows
-from sim.studies.store import Results, identity_of, open_store
 from tests.validation.rows import Row, row
 
 # A problem that stands in for a rig, to judge what evaluates the rows of a study.

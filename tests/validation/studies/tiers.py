@@ -4,9 +4,9 @@ from pathlib import Path
 
 from lscan.records import Floats
 from sim.studies.problem import BASE, SETS, alone, columns, make_design
+from sim.studies.results import evaluate_rows, identity_of
 from sim.studies.rig.prepared import Prepared, prepare
 from sim.studies.running import RigSource
-from sim.studies.store import evaluate_rows, identity_of
 from sim.studies.studyfile import Study, Tier, load_study
 from sim.studies.tiers import alone_squares, beginnings, large_causes, pad_rows, paired_bounds
 from tests.validation.rows import Row, row

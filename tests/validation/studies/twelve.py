@@ -15,10 +15,10 @@ from lscan.errors import MeasurementError
 from lscan.records import Floats, select
 from sim.scene import Scene, load_scene, scene_of
 from sim.studies.executor import open_workers
+from sim.studies.results import identity_of, open_store
 from sim.studies.rig.prepared import Prepared, on_board, stated_reading
 from sim.studies.rig.states import ScanPlaces, places_of
 from sim.studies.running import RigSource, StudyOptions, run_rows
-from sim.studies.store import identity_of, open_store
 from sim.studies.study import run_study
 from sim.studies.studyfile import Study, study_of
 from sim.truth import board_truth

@@ -25,7 +25,7 @@ from lscan.stripe.peaks import neighbours, pieces
 from lscan.surface.thickness import correct_thickness
 from sim.meshes.parts import grid_faces, plain_mesh
 from sim.scene.instrument import Sensor
-from sim.sensor.noise import ColourFilter, digitise, through_jpeg
+from sim.sensor.webcam import ColourFilter, digitise, through_jpeg
 from sim.studies.concavity import ShortScan, mesh_scene, sheet_of, short_scan
 from tests.validation.exposures import share_inside
 from tests.validation.rows import Row, row

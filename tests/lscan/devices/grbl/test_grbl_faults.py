@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from grbl_line import DirectLine, SimulatedTime
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.devices.grbl.machine import ASKINGS, Link, open_serial
 from lscan.errors import DeviceError
-from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, PseudoTerminal, SimulatedTime
+from sim.emulators.grbl import Faults, GrblEmulator, PseudoTerminal
 
 ZERO_MM = -190.0
 TOLERANCE_MM = 0.02

@@ -8,24 +8,12 @@ from typing import Any
 
 import pytest
 import serial
+from grbl_line import FLUIDNC, GRBL_ESP32, GRBLHAL, GRBLHAL_AS_GRBL, DirectLine, SimulatedTime
 from track_plant import START_MM, UNHOMED, Plant, spacing_is_true
 
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.errors import DeviceError
-from sim.emulators.grbl import (
-    FLUIDNC,
-    GRBL,
-    GRBL_ESP32,
-    GRBLHAL,
-    GRBLHAL_AS_GRBL,
-    DirectLine,
-    Faults,
-    Firmware,
-    GrblEmulator,
-    MarlinEmulator,
-    PseudoTerminal,
-    SimulatedTime,
-)
+from sim.emulators.grbl import GRBL, Faults, Firmware, GrblEmulator, MarlinEmulator, PseudoTerminal
 
 FIRMWARE = {
     "Grbl 1.1h": GRBL,

@@ -8,19 +8,14 @@ from typing import Any
 import pytest
 from device_contract import TrackContract
 from drawn_examples import examples
+from grbl_line import DirectLine, SimulatedTime
 from hypothesis import given, strategies as st
 
 from lscan.config.rig import parse_rig
 from lscan.devices.api import Track
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track, track_driver
 from lscan.errors import DeviceError, InputError
-from sim.emulators.grbl import (
-    DirectLine,
-    GrblEmulator,
-    MarlinEmulator,
-    PseudoTerminal,
-    SimulatedTime,
-)
+from sim.emulators.grbl import GrblEmulator, MarlinEmulator, PseudoTerminal
 
 ZERO_MM = -190.0  # machine coordinate of position 0; travel is -200 to 0
 QUICK = dict.fromkeys((25, 110, 111, 112), 50_000) | dict.fromkeys((120, 121, 122), 20_000)

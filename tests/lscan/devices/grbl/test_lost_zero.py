@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from grbl_line import DirectLine, SimulatedTime
 from track_plant import FRAMES, START_MM, STEPPER_MM, UNHOMED, Plant, StillCamera, spacing_is_true
 
 from lscan.acquisition.run import MANIFEST
@@ -12,7 +13,7 @@ from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import resume_run
 from lscan.devices.grbl import SerialTrackOptions, open_track
 from lscan.errors import DeviceError
-from sim.emulators.grbl import DirectLine, Faults, GrblEmulator, MarlinEmulator, SimulatedTime
+from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator
 
 SLOW = {"start_mm": 0.0, "step_mm": 5.0, "feed_mm_min": 100.0, "boot_s": 0.1}
 """A scan whose approaches take 3 s, on a controller that is open again after 0.1 s."""

@@ -5,13 +5,14 @@ from typing import Any
 
 import pytest
 from drawn_examples import examples
+from grbl_line import DirectLine, SimulatedTime
 from hypothesis import given, strategies as st
 
 from lscan.devices.api import Describing, Track
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.devices.trials import repeatability, try_track
 from lscan.errors import DeviceError, InputError
-from sim.emulators.grbl import DirectLine, GrblEmulator, MarlinEmulator, SimulatedTime
+from sim.emulators.grbl import GrblEmulator, MarlinEmulator
 
 REVERSAL_MM, OFFSET_MM = 0.03, 0.01
 

@@ -12,8 +12,19 @@ from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
 from sim.meshes.parts import grid_faces, plain_mesh
 from sim.scene import Pose, head_pose, rotation
-from sim.truth.section import TargetSection, grooved_block_surfaces, section_at, split, surfaces_of
-from sim.truth.surfaces import Mesh, Polygon, Wave, area, sandwave_surfaces, spread
+from sim.truth.surfaces import (
+    Mesh,
+    Polygon,
+    TargetSection,
+    Wave,
+    area,
+    grooved_block_surfaces,
+    sandwave_surfaces,
+    section_at,
+    split,
+    spread,
+    surfaces_of,
+)
 
 MANY = examples(30)
 TILT = st.floats(-8, 8)
