@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from typing import Protocol, runtime_checkable
+from typing import Protocol, get_args, runtime_checkable
 
 import cv2
 import numpy as np
@@ -166,10 +166,6 @@ RARE = 1e-4
 """A linear camera's chi² is above what is held against it in one trial of ten thousand."""
 
 _COLOURS = {"red": 0, "green": 1, "blue": 2}
-_PAIRS: tuple[tuple[Axis, str, str], ...] = (
-    ("rows", "upright", "a row"), ("columns", "level", "a column"),
-)  # fmt: skip
-"""Of pixels that share their colour: the axis across the line, how that runs, where they lie."""
 
 
 @runtime_checkable
@@ -369,13 +365,12 @@ def try_camera(
             "exposure of a multiple of 10 ms (mains of 50 Hz) or 8.33 ms (60 Hz)"
         )
     image = camera.grab().image
-    for axis, line, along in _PAIRS:
-        if shift_px := colour_shift_px(image, channel, axis):
-            remarks.append(
-                f"colours: two pixels along {along} share theirs (YUYV and the like), so that an "
-                f"{line} line lies up to {shift_px:.2f} px aside in {channel}, 0.5 in "
-                f'{channel}-excess, which its sigma holds; [stripe] channel = "grey" is free of it'
-            )
+    if shift_px := max(colour_shift_px(image, channel, axis) for axis in get_args(Axis)):
+        remarks.append(
+            "colours: two pixels share one (in YUYV along a row), so that a line across such pairs "
+            f"lies up to {shift_px:.2f} px aside in {channel}, 0.5 in {channel}-excess, which its "
+            'sigma holds; [stripe] channel = "grey" is free of it'
+        )
     straight = None
     if isinstance(camera, ExposureControl) and camera.can_set_exposure:
         more, exposures_ms, means_dn = _exposure_series(camera, pictures, channel, gamma)

@@ -168,7 +168,7 @@ def _line_light(seen: Survey, light: Floats) -> LineLight:
 # and the centre too where the window hardly sees beyond them.
 
 
-_FARTHEST_PX = 30  # from a line's crest, of pixels that might be it
+_FARTHEST_PX = 15  # from a line's crest, of pixels that might be it
 
 Centring = Callable[[Floats], tuple[Floats, Floats]]
 """From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
@@ -218,7 +218,10 @@ def _alike(
     spread = _peak_spread(columns, peaks, variance[:, settings.span_px], settings)
     variance_px += _choice_variance(wide, offset, spread, centring)
     if guesses_background:
-        variance_px += _background_variance(light, offset)
+        # The window's smallest value may be the line's own tail; the column's median is the guess
+        # that cannot be.  The truth lies between the two centroids, rather near the one found: a
+        # triangular distribution, whose mean square about its high end is a sixth of its width's.
+        variance_px += np.fmin(np.abs(_centroid_offset(light)[0] - offset), 1.0) ** 2 / 6
     variance_px[wide_crest] = 1 / 12  # of a pixel at either end; extract_stripe adds the rest
 
     # Only grey values that are negative can throw the centroid out of its window.
@@ -326,9 +329,9 @@ def _peak_spread(
     smoothed = [smoothed_by_width(one, width_px) for one in columns]
     grey = windows_beside(smoothed, peaks.columns, peaks.rows, reach)
     least = grey[:, reach] - 2 * np.sqrt(variance / averaged)
-    powers = np.arange(-reach, reach + 1)[:, None] ** np.arange(3.0)
-    count, first, second = ((grey >= least[:, None]).astype(np.float64) @ powers).T
-    spread: Floats = second / count - (first / count) ** 2 + 1 / 12
+    near, steps = grey >= least[:, None], np.arange(-reach, reach + 1)
+    count = np.count_nonzero(near, axis=1)  # of whole numbers: for floats BLAS would start threads
+    spread: Floats = near @ steps**2 / count - (near @ steps / count) ** 2 + 1 / 12
     return spread
 
 
@@ -350,20 +353,6 @@ def _choice_variance(wide: Floats, offset: Floats, spread: Floats, centring: Cen
     step = np.fmin(np.abs(moved - offset), 1.0)  # a whole pixel too where it is NaN
     variance: Floats = step**2 * spread
     return variance
-
-
-def _background_variance(light: Floats, offset: Floats) -> Floats:
-    """Variance in px² (K,) of a centre that took the window's smallest value for background.
-
-    That value may be the line's own tail; the column's median is the guess that cannot be.
-    The truth lies between the two centroids, rather near the one found than near the other:
-    a triangular distribution, whose mean square about its high end is a sixth of its width's.
-
-    light: (K, n) grey values above the column's median in DN.  offset: (K,) as found, in px.
-    """
-    other, _ = _centroid_offset(light)
-    width: Floats = np.fmin(np.abs(other - offset), 1.0)
-    return width**2 / 6
 
 
 # The log-parabola: of a Gaussian the logarithm is a parabola, whose vertex is the centre.

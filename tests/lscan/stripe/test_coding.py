@@ -120,4 +120,4 @@ def test_sigma_holds_the_shift_of_half_colours_and_the_trial_says_it(channel, sh
     assert np.mean(held) >= 0.92
     grabs = (Grab(np.roll(image, turn, axis=0), float(turn), 1.0) for turn in count())
     said = try_camera(SimpleNamespace(grab=lambda: next(grabs)), 4, "red").remarks
-    assert sum("two pixels along a row share" in remark for remark in said) == 1
+    assert sum("two pixels share one" in remark for remark in said) == 1
