@@ -388,7 +388,7 @@ def test_what_was_found_is_stated_and_what_it_contradicts() -> None:
     nose = abs(view.eye_mm()[1])
     truth = {"focal_px": 850.0, "sheet_distance_mm": nose, "sheet_angle_deg": 30.0}
     for name, true in truth.items():
-        value, sigma = calibration.found()[name]
+        value, sigma = calibration.quantities()[name]
         assert 0 < sigma < 0.01 * true
         assert abs(value - true) < 3 * sigma
     wrong = lens.model_copy(update={"focal_px": (700.0, 5.0)})
