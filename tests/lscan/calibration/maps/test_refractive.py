@@ -219,7 +219,8 @@ def draws(little_known: bool, trials: int) -> tuple[Refractive, ...]:
 
     The search begins at the map of the exact marks, which is near all others, and ends sooner.
     """
-    known, rng = OpticsSection() if little_known else PAPER_LENS, np.random.default_rng(2)
+    known = OpticsSection(**EXACT_BOARD) if little_known else PAPER_LENS
+    rng = np.random.default_rng(2)
     exact = read_board(BOARD, View().project, sigma_px=NOISE_PX)
     near = solver.near(solver.solve(exact, "", known))
     return tuple(near.solve(with_noise(exact, NOISE_PX, rng), "", known) for _ in range(trials))
