@@ -215,11 +215,11 @@ class Calibration:
         """Root mean square of the residuals' lengths in the picture, px."""
         return _rms(self.residuals_px)
 
-    def found(self) -> dict[str, Known]:
+    def quantities(self) -> dict[str, Known]:
         """What the map makes of the rig, by name, each number with its standard uncertainty.
 
         scale_mm_per_px: on the mean over the marks; by its uncertainty all lengths are off alike.
-        Of a map that knows the physics also camera, port and sheet (PhysicalMap.found).
+        Of a map that knows the physics also camera, port and sheet (PhysicalMap.quantities).
         """
         board_mm, image_px, _ = found_marks([self.reading.grid])
         arm, seen = board_mm - board_mm.mean(axis=0), image_px - image_px.mean(axis=0)
@@ -229,7 +229,7 @@ class Calibration:
         off = np.nansum(arm[:, :, None] * modes, axis=(0, 1)) / (arm**2).sum()
         known = {"scale_mm_per_px": (scale, scale * float(np.linalg.norm(off)))}
         solved = getattr(self.plane_map, "chosen", self.plane_map)  # of auto
-        return known | solved.found() if isinstance(solved, PhysicalMap) else known
+        return known | solved.quantities() if isinstance(solved, PhysicalMap) else known
 
     @property
     def misfit(self) -> str:

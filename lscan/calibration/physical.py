@@ -242,7 +242,7 @@ class PhysicalMap(SolvedMap):
     def _fields_of(self, vector: Floats) -> dict[str, Any]:
         """The fields that hold parameters."""
 
-    def found(self) -> dict[str, Known]:
+    def quantities(self) -> dict[str, Known]:
         """Camera, port and sheet, by name, each with its standard uncertainty.
 
         sheet_distance_mm: from the pinhole to the sheet.  sheet_angle_deg: between the camera's

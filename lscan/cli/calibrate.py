@@ -121,7 +121,7 @@ def _as_json(calibration: Calibration) -> dict[str, Any]:
         "residuals": residuals,
         "outliers_mm": calibration.outliers_mm,
         "misfit": calibration.misfit,
-        "found": _known_json(calibration.found()),
+        "found": _known_json(calibration.quantities()),
     }
     if isinstance(plane_map, Auto):
         content |= {"chosen": plane_map.chosen.name, "scores": plane_map.scores}
@@ -130,10 +130,6 @@ def _as_json(calibration: Calibration) -> dict[str, Any]:
 
 def _known_json(known: Mapping[str, Known]) -> dict[str, Any]:
     return {name: {"value": value, "sigma": sigma} for name, (value, sigma) in known.items()}
-
-
-def _known_rows(known: Mapping[str, Known]) -> list[list[Any]]:
-    return [[name, f"{value:.6g}", f"{sigma:.2g}"] for name, (value, sigma) in known.items()]
 
 
 def _calibration_words(calibration: Calibration, path: Path) -> Iterator[str | Table]:
@@ -154,7 +150,9 @@ def _calibration_words(calibration: Calibration, path: Path) -> Iterator[str | T
         f"{calibration.name}{chosen}: {found.sum()} of {len(found)} control points, "
         f"residuals {calibration.rms_mm:.3f} mm rms, {calibration.max_mm:.3f} mm at most; {path}"
     )
-    yield table("found", ["", "value", "sigma"], _known_rows(calibration.found()))
+    known = calibration.quantities().items()
+    rows = [[name, f"{value:.6g}", f"{sigma:.2g}"] for name, (value, sigma) in known]
+    yield table("found", ["", "value", "sigma"], rows)
     for x, z in calibration.outliers_mm:
         yield f"left out: the mark at ({x:g}, {z:g}) mm does not lie where the others predict it"
     if calibration.misfit:
@@ -244,7 +242,7 @@ def calibrate_metric(
         content |= {"map": calibration.plane_map.name, "line_rms_mm": calibration.line_rms_mm}
         lines = sum(view.line_used for view in calibration.views)
         off = f"{calibration.line_rms_mm:.3f} mm rms off the sheet"
-        sheet = calibration.plane_map.found()
+        sheet = calibration.plane_map.quantities()
         content["found"], (away, about) = _known_json(sheet), sheet["sheet_distance_mm"]
         words = f"metric: {used}; {lines} lines, {off}; sheet {away:.1f} ± {about:.2g} mm away"
     focal, sigma = calibration.theta[0], calibration.sigma[0]

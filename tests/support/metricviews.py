@@ -88,6 +88,7 @@ def known(rig: Rig, water_sigma: float = 0.0) -> OpticsSection:
     free: dict[str, Any] = dict.fromkeys(("k1", "k2"), (0.0, 1e4)) | dict.fromkeys(
         ("p1", "p2"), (0.0, 1e2)
     )
+    free["board_scale_percent"] = 0.0
     if port is None:
         return OpticsSection(port="none", **free)
     return OpticsSection(

@@ -360,8 +360,8 @@ class Graticule(SolvedMap):
     """A solved graticule.
 
     Its uncertainty combines, to first order, that of the pixel, the covariances of the two
-    lines around the point, of the ruler's line and of its conversion curve; the last two are
-    common to neighbouring points, which no modes say.
+    lines around the point, of the ruler's line and of its conversion curve.  What neighbouring
+    points have in common no modes say, but those of a calibration (spline.with_hidden_errors).
 
     Attributes
     ----------

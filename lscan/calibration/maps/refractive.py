@@ -214,9 +214,9 @@ class Refractive(PhysicalMap):
     def _fields_of(self, vector: Floats) -> dict[str, Any]:
         return {"theta": dict(zip(NAMES, vector.tolist(), strict=True))}
 
-    def found(self) -> dict[str, Known]:
+    def quantities(self) -> dict[str, Known]:
         """Camera, port and sheet, as of every physical map; the board lay beside the sheet."""
-        known = super().found()
+        known = super().quantities()
         beside = {"sheet_distance_mm": self.board_offset_mm, "sheet_angle_deg": self.board_tilt_deg}
         for name, lies in beside.items():
             known[name] = (known[name][0], float(np.hypot(known[name][1], lies)))

@@ -236,9 +236,7 @@ SEGMENTS = 6  # of the longer side; the penalty, not the knots, limits how much 
 LEAST_SIGMA_PX = 1e-3  # no mark is known better, whatever it states
 KEPT = 0.98  # of the variance, on the mean over the region, that the modes must account for
 LATTICE = 24  # places a side at which that is judged
-FEW = (
-    12  # modes of x and of z that a map beside this one states: two thirds of the variance and more
-)
+FEW = 6  # modes of x and of z, the broadest, that a map beside this one states
 
 
 class Spline(SolvedMap):

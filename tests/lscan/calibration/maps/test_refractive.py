@@ -219,7 +219,8 @@ def draws(little_known: bool, trials: int) -> tuple[Refractive, ...]:
 
     The search begins at the map of the exact marks, which is near all others, and ends sooner.
     """
-    known, rng = OpticsSection() if little_known else PAPER_LENS, np.random.default_rng(2)
+    known = OpticsSection(**EXACT_BOARD) if little_known else PAPER_LENS
+    rng = np.random.default_rng(2)
     exact = read_board(BOARD, View().project, sigma_px=NOISE_PX)
     near = solver.near(solver.solve(exact, "", known))
     return tuple(near.solve(with_noise(exact, NOISE_PX, rng), "", known) for _ in range(trials))
@@ -388,7 +389,7 @@ def test_what_was_found_is_stated_and_what_it_contradicts() -> None:
     nose = abs(view.eye_mm()[1])
     truth = {"focal_px": 850.0, "sheet_distance_mm": nose, "sheet_angle_deg": 30.0}
     for name, true in truth.items():
-        value, sigma = calibration.found()[name]
+        value, sigma = calibration.quantities()[name]
         assert 0 < sigma < 0.01 * true
         assert abs(value - true) < 3 * sigma
     wrong = lens.model_copy(update={"focal_px": (700.0, 5.0)})
