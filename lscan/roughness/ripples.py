@@ -11,7 +11,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from lscan.errors import MeasurementError
-from lscan.records import Floats
+from lscan.records import Floats, Ints
 from lscan.roughness.instrument import ScannerResponse
 from lscan.roughness.patch import Patch, wavenumbers
 from lscan.roughness.spectra import detrend
@@ -174,25 +174,31 @@ def _peak(patch: Patch, response: ScannerResponse) -> Floats | None:
     least = 2 * np.pi * LEAST_WAVES / min(patch.size_cm)
     band = Band(least, 0.9 * patch.nyquist_per_cm)
     try:
-        y, x, ratio = flat_periodogram(patch, band, response, response.known)
+        y, x, over_law = flat_periodogram(patch, band, response, response.known)
     except MeasurementError:  # the response is known of too few waves
         return None
     edges = np.geomspace(least, band.high_per_cm, SURROUNDINGS + 1)[1:-1]
-    ring = np.digitize(np.hypot(y, x), edges)
-    for number in np.unique(ring):
-        # Ripples lift the law: what is usual around them is that of most values.
-        ratio[ring == number] /= max(float(np.median(ratio[ring == number])), 1e-300)
-    best = int(np.argmax(ratio))
-    if ratio[best] < ABOVE:
+    ratio = _over_surroundings(over_law(patch.z_cm), ring := np.digitize(np.hypot(y, x), edges))
+    if ratio.max() < ABOVE:
         return None
-    # Over a law that falls steeply a harmonic may stand out more than the wave that it is of.
+    peak = np.array([y[ratio.argmax()], x[ratio.argmax()]])
+    # Over a law that falls steeply a harmonic may stand out more than the wave that it is of; what
+    # leaks from it into longer waves is no wave.
+    rest = without_ripples(patch, fit_waves(patch, peak, 1))
+    ratio = _over_surroundings(over_law(rest.z_cm), ring)
     within = np.pi / min(patch.size_cm)
     for order in range(HARMONICS, 1, -1):
-        off = np.hypot(y - y[best] / order, x - x[best] / order)
+        off = np.hypot(y - peak[0] / order, x - peak[1] / order)
         if (found := np.where(off <= within, ratio, 0.0)).max() >= ABOVE:
-            best = int(np.argmax(found))
-            break
-    return np.array([y[best], x[best]])
+            return np.array([y[found.argmax()], x[found.argmax()]])
+    return peak
+
+
+def _over_surroundings(ratio: Floats, ring: Ints) -> Floats:
+    """(V,) ratios over what is usual in their rings: ripples lift the law."""
+    held, ring = np.unique(ring, return_inverse=True)
+    usual = [float(np.median(ratio[ring == number])) for number in range(len(held))]
+    return np.asarray(ratio / np.maximum(usual, 1e-300)[ring])
 
 
 # How much the ripples of a train differ from one another in wavelength and in heading.

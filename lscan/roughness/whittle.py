@@ -419,10 +419,11 @@ def most_likely_law(
 
 def flat_periodogram(
     patch: Patch, band: Band, response: Density | None = None, known: Known | None = None
-) -> tuple[Floats, Floats, Floats]:
-    """(V,) rad/cm along y and x, and there the periodogram over what a power law leads to expect.
+) -> tuple[Floats, Floats, Callable[[Floats], Floats]]:
+    """(V,) rad/cm along y and x, and the periodogram of heights there over what a law lets expect.
 
-    Of heights that follow one each value is about exponentially distributed, with the mean 1,
+    The law is the patch's own; the heights, cm, may be the patch's or others on its cells.  Of
+    heights that follow one each value is about exponentially distributed, with the mean 1,
     whatever is missing: what holes make of the law is in the expectation.
 
     Parameters
@@ -437,7 +438,8 @@ def flat_periodogram(
         second = likelihood.second
     parts = list(differences_of(patch, band, second, known))
     whole = _Likelihood(patch, parts, response, second)
-    return *whole.places, whole.values / whole.expected(theta)
+    expected = whole.expected(theta)
+    return *whole.places, lambda z_cm: whole.periodogram(z_cm) / expected
 
 
 def _most_likely(
