@@ -13,7 +13,7 @@ from lscan.acquisition.run import MANIFEST, Run
 from lscan.acquisition.scan import scan
 from lscan.cli.console import progress_bar
 from lscan.config.documents import merge
-from lscan.config.rig import Rig, RigFile, StripeSection, load_rig, parse_rig
+from lscan.config.rig import RigFile, StripeSection, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
 from lscan.measure import compare_slice
@@ -86,7 +86,10 @@ def run_demo(
     started = time.monotonic()
     effort = QUICK if quick else FULL
     rigs = {part: _rig_of_effort(load_rig(scenes / f"{part}.toml"), effort) for part in PARTS}
-    better = _best_rigs(scenes.resolve().parent / "best" if best is None else best)
+    best = scenes.resolve().parent / "best" if best is None else best
+    better = (
+        {part: load_rig(best / f"{part}.toml").rig for part in PARTS} if best.is_dir() else None
+    )
     fewer = effort.frames if frames is None else frames
     if fewer is not None:
         rigs["sandwave"] = thin_out(rigs["sandwave"], fewer)
@@ -103,13 +106,6 @@ def run_demo(
     experiment = replace(experiment, seconds=seconds, quick=quick)
     write_experiment(output, experiment)
     return experiment
-
-
-def _best_rigs(folder: Path) -> dict[str, Rig] | None:
-    """How the scenes of the folder have their pictures read; None where there is no folder."""
-    if not folder.is_dir():
-        return None
-    return {part: load_rig(folder / f"{part}.toml").rig for part in PARTS}
 
 
 def _rig_of_effort(rig_file: RigFile, effort: DemoEffort) -> RigFile:
@@ -154,8 +150,9 @@ def compare(
 
 def _render_check(scenes: Mapping[str, Scene], effort: DemoEffort) -> RenderCheck:
     """The line in noise-free renders of the groove and of places of the sandwave."""
-    positions = _check_positions(scenes["sandwave"], effort.checks)
-    checks = [("groove", 0.0), *(("sandwave", position) for position in positions)]
+    positions = scenes["sandwave"].rig.plan.positions_mm()
+    inner = np.linspace(0, len(positions) - 1, effort.checks + 2)[1:-1]  # the scan's ends left out
+    checks = [("groove", 0.0), *(("sandwave", float(positions[round(k)])) for k in inner)]
     tanks = {part: Tank(scenes[part]) for part in ("groove", "sandwave")}
     errors: list[list[Floats]] = [[], []]
     with progress_bar("compare with the truth") as progress:
@@ -213,13 +210,6 @@ def _with_visible_errors(experiment: Experiment, scene: Scene) -> Experiment:
         for name, cut in sandwave.slices.items()
     }
     return replace(experiment, sandwave=replace(sandwave, errors=errors))
-
-
-def _check_positions(scene: Scene, count: int) -> list[float]:
-    """Track positions spread over the scan, its ends left out."""
-    positions = np.array(scene.rig.plan.positions_mm())
-    inner = np.linspace(0, len(positions) - 1, count + 2)[1:-1]
-    return [float(positions[round(index)]) for index in inner]
 
 
 def _scan(rig_file: RigFile, output: Path, part: str) -> Run:

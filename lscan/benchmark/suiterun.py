@@ -328,10 +328,6 @@ def _log_rms(sums: CaseSums) -> float:
     return 0.5 * float(np.log(max(sums.square / sums.core, 1e-12))) if sums.core else np.nan
 
 
-def _log_z(sums: CaseSums) -> float:
-    return sums.log_z / sums.core if sums.core else np.nan
-
-
 def _log_score(sums: CaseSums) -> float:
     """Of stated sigmas, in rms errors: an accuracy that changes alone is the rms error's to say."""
     return float(np.log(sums.score / sums.core)) - _log_rms(sums) if sums.score else np.nan
@@ -339,7 +335,7 @@ def _log_score(sums: CaseSums) -> float:
 
 FIGURES: Mapping[str, Callable[[CaseSums], float]] = {
     "rms error": _log_rms,
-    "error in stated sigmas": _log_z,
+    "error in stated sigmas": lambda sums: sums.log_z / sums.core if sums.core else np.nan,
     "score of stated sigmas": _log_score,
     "missed columns": lambda sums: sums.missed,
     "columns without a line": lambda sums: sums.ghosts,

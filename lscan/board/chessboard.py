@@ -300,9 +300,8 @@ def _alternating_squares(picture: Bytes, corners: Floats) -> tuple[Mask, Mask]:
 
 CORNER_WINDOW = 0.15  # Gaussian sigma, of the distance between corners: the next weigh nothing
 LARGEST_CORNER_SIGMA_PX = 4.0
-CLEAR_OF_MARKER = (
-    1 / 3
-)  # Gaussian sigma, of the way to the next marker: what lies beyond weighs 1 % at most
+# Gaussian sigma, of the way to the next marker: what lies beyond weighs 1 % at most.
+CLEAR_OF_MARKER = 1 / 3
 NARROWER = 1 / 1.6  # of the second window that a corner is seen through
 MOST_MOVED = 0.2  # of the distance between corners, from where OpenCV saw it
 MOST_CHANGED = 6.0  # standard deviations, from window to window and from the lattice

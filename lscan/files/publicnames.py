@@ -41,8 +41,11 @@ def _check_arguments(function: Callable[..., Any], package: str) -> Callable[...
 
     Arguments of other types, such as paths and arrays, are left to the function.
     """
-    types = get_type_hints(function)
-    kinds = {name: kind for name, kind in types.items() if _is_of_lscan(kind)}
+    kinds = {
+        name: kind
+        for name, kind in get_type_hints(function).items()
+        if inspect.isclass(kind) and kind.__module__.startswith("lscan.")
+    }
     signature = inspect.signature(function)
 
     @wraps(function)
@@ -64,7 +67,3 @@ def _check_arguments(function: Callable[..., Any], package: str) -> Callable[...
 
     checked.__module__ = package  # where pickle finds it again
     return checked
-
-
-def _is_of_lscan(kind: Any) -> bool:
-    return inspect.isclass(kind) and kind.__module__.startswith("lscan.")

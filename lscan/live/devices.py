@@ -9,7 +9,7 @@ answers, and opened again by the next command that needs it.
 import contextlib
 import math
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 
 from lscan.acquisition.scan import open_camera, open_track
 from lscan.config.rig import RigFile
@@ -248,7 +248,8 @@ class LiveDevices:
                     self.laser = self._laser_stuck = False
             except BaseException as error:
                 if switched:
-                    self.laser = self._laser_stuck = LASER_MAY_BE_LIT in _notes(error)
+                    notes = getattr(error, "__notes__", ())
+                    self.laser = self._laser_stuck = LASER_MAY_BE_LIT in notes
                 raise
             finally:
                 with self._looking:
@@ -261,10 +262,6 @@ class LiveDevices:
             self.laser_off()
         self._camera.close()
         self.track.close()
-
-
-def _notes(error: BaseException) -> Sequence[str]:
-    return getattr(error, "__notes__", ())
 
 
 class _ScanCamera:

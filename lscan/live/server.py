@@ -265,12 +265,6 @@ class AccessMiddleware:
         await inner(scope, receive, send_safely)
 
 
-def most_connections() -> int:
-    """How many connections may be open at a time, whatever is left for files (``ulimit -n``)."""
-    allowed, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return max(1, min(MOST_CONNECTIONS, allowed - KEPT_FILES))
-
-
 class BrowserConnection(H11Protocol):
     """A connection that asks for nothing is dropped after a while, and sooner where room is short.
 
@@ -282,7 +276,8 @@ class BrowserConnection(H11Protocol):
         super().connection_made(transport)
         self._began_s = self.loop.time()
         self._drop_if_silent_after(None)
-        if len(self.connections) > most_connections():
+        files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)  # ``ulimit -n``
+        if len(self.connections) > max(1, min(MOST_CONNECTIONS, files - KEPT_FILES)):
             own = [each for each in self.connections if isinstance(each, BrowserConnection)]
             max(own, key=BrowserConnection.dispensable).transport.abort()
 

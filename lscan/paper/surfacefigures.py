@@ -198,12 +198,6 @@ def contours_after(sandwave: SandwaveMeasures, waves: Mask) -> ReportFigure:
     return figure_of("contours-after", figure, yaw=yaw, slices=names, contours=contours)
 
 
-def contour_step(low_mm: float, high_mm: float) -> float:
-    """The height between two contours in mm: 1, or more where that were over 40 contours."""
-    span = high_mm - low_mm
-    return next((step for step in _STEPS_MM if span / step <= _MOST_CONTOURS), _STEPS_MM[-1])
-
-
 def _draw_surface(xyz_mm: Floats, waves: Mask) -> tuple[Figure, Axes, str]:
     """The figure, its axes, and what a caption says of contours and colours.
 
@@ -237,7 +231,8 @@ def _draw_surface(xyz_mm: Floats, waves: Mask) -> tuple[Figure, Axes, str]:
 
 def _draw_contours(axes: Axes, grid: NodeHeights, low_mm: float, high_mm: float) -> float:
     """Contours at whole multiples of their step, which is returned in mm."""
-    step = contour_step(low_mm, high_mm)
+    few = (step for step in _STEPS_MM if (high_mm - low_mm) / step <= _MOST_CONTOURS)
+    step = next(few, _STEPS_MM[-1])
     counts = np.arange(np.ceil(low_mm / step), np.floor(high_mm / step) + 1)
     index = counts % _INDEX == 0
     if len(counts):

@@ -149,7 +149,10 @@ def paper_tables(experiment: Experiment, bars: Bars) -> list[ReportTable]:
         tables.append(_table_by_method("table-2", diameters, better.diameters, TABLE_2, bars))
     if experiment.groove:
         groove = best.groove.dimensions if best and best.groove else {}
-        tables.append(_groove_table(experiment.groove.dimensions, groove, bars))
+        ours = experiment.groove.dimensions
+        theirs = _of_same_piece(TABLE_3, ours)
+        chains = _chains(ours, groove, theirs, lambda one: abs(one.error_mm) > bars.groove_mm)
+        tables.append(ReportTable(**_words("table-3", bars), chains=chains))
     if experiment.sandwave:
         slices = best.sandwave.errors if best and best.sandwave else {}
         tables.append(_slice_table(experiment.sandwave.errors, slices, bars))
@@ -185,12 +188,6 @@ def _table_by_method(
         blocks=tuple(_feature_block(feature, ours, theirs, beyond) for feature in features),
         summary=_summary(ours, theirs, bars),
     )
-
-
-def _groove_table(ours: Lengths, best: Lengths, bars: Bars) -> ReportTable:
-    theirs = _of_same_piece(TABLE_3, ours)
-    chains = _chains(ours, best, theirs, lambda length: abs(length.error_mm) > bars.groove_mm)
-    return ReportTable(**_words("table-3", bars), chains=chains)
 
 
 def _slice_table(

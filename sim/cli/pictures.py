@@ -14,8 +14,7 @@ from lscan.errors import InputError
 from lscan.paper.experiment import Experiment
 from lscan.paper.report import results_json
 from sim.cli.app import OutputFolder, PaperFolder, Quick, SceneFile, show_places
-from sim.datasets.files import taken_at, taken_in, write_render, write_truth
-from sim.datasets.views import write_views
+from sim.datasets.files import taken_at, taken_in, write_render, write_truth, write_views
 from sim.devices import load_checked
 from sim.truth.placement import check_placement
 

@@ -1,4 +1,4 @@
-"""Files of a render and of its truth: pictures, layers and tables."""
+"""Files of a render and of its truth, and of views of a board: pictures, layers and tables."""
 
 import csv
 from collections import Counter
@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from lscan.acquisition.run import Run, require_same_files
+from lscan.config.board import Board
+from lscan.config.documents import Document, write_toml
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
-from lscan.records import Progress, Status
-from sim.scene import SECTIONS, Scene, at_moment, scene_of
+from lscan.records import Bytes, Floats, Mask, Progress, Status
+from sim.scene import SECTIONS, Scene, at_moment, camera_pose, rotation, scene_of, sheet_pose
 from sim.scene.file import check_samples, is_changing
-from sim.truth import board_truth, line_brightness, stripe_truths
+from sim.truth import board_truth, line_brightness, project, stripe_truths
+from sim.water import water_optics
 
 Row = tuple[Any, ...]  # of a table: numbers and words
 STRIPE_COLUMNS: Row = (
@@ -247,3 +250,250 @@ def _board_rows(scene: Scene, taken: Sequence[Taken]) -> Iterator[Row]:
             places = np.column_stack([marks.board_mm, marks.image_px]).tolist()
             for place, status in zip(places, marks.status, strict=True):
                 yield picture.frame, picture.position_mm, kind, *place, Status(status).name
+
+
+# Pictures of a board held into the laser sheet in many poses: what the metric route is fed.
+
+
+MOST_DEG = 35.0, 25.0  # turned about the head's z and about the board's x
+MOST_DISTANCE_MM = 60.0  # of the board's middle from the sheet
+TRIED = 6000  # poses drawn, of which those that serve are kept; some 2 % do
+LEAST_CROSSING_DEG = 15.0  # between board and sheet; the line is four times as wide as the sheet
+LEAST_GRAZE_DEG = 12.0  # at which the light meets the board; a fifth of it is left there
+MOST_ASLANT_DEG = 50.0  # at which the board is seen; dots are two thirds as high as wide
+CROSSED = 0.7  # of the dots' lesser half side: how near to the middle the line runs
+STEEPEST = 1.5  # of the line in the picture: it is looked for column by column, or row by row
+MARGIN_PX = 3.0  # that the board keeps from the picture's border
+SIDE_POINTS = 9  # of the outline that are looked for in the picture, a side
+
+
+@dataclass(frozen=True)
+class Poses:
+    """K poses of a board in the head frame: x right, y away from the camera, z up.
+
+    middle_mm: (K, 3) of the middle of its dots.  rotation: (K, 3, 3), board to head frame.
+    features: (K, 5) turn, tilt, distance from the sheet and place in the picture, each
+        counted in its own range, from -1 to 1.
+    """
+
+    middle_mm: Floats
+    rotation: Floats
+    features: Floats
+
+    def only(self, wanted: Any) -> "Poses":
+        """Those of a mask or of indices."""
+        return Poses(self.middle_mm[wanted], self.rotation[wanted], self.features[wanted])
+
+
+def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> dict[str, Path]:
+    """Write ``views.toml``, ``board.toml``, and two pictures for each pose.
+
+    The pictures of a pose, ``pose-0.png`` with the lamps alone and ``pose-0-laser.png`` with lamps
+    and laser, are what ``lscan calibrate-metric folder/views.toml`` takes.
+
+    Parameters
+    ----------
+    scene
+        A board, lamps and laser; the board's own pose is not used.
+    folder
+        To write to; it is made.
+    count, seed
+        Of the poses; of the poses and of all noise.
+
+    Returns
+    -------
+    The files by their names.
+
+    Raises
+    ------
+    InputError
+        Where the scene lacks board, lamps or laser, or where too few poses serve.
+    """
+    held = held_scenes(scene, count, seed)
+    make_folder(folder)
+    files: dict[str, Path] = {}
+    for number, pose in enumerate(held):
+        dark, lit = photograph(pose, np.random.default_rng([seed, number]))
+        for name, image in ((f"pose-{number}", dark), (f"pose-{number}-laser", lit)):
+            files[name] = folder / f"{name}.png"
+            write_picture(files[name], image)
+    board = scene.board().model_dump(mode="json", exclude_none=True)
+    for name, document in (("board", board), ("views", _views(scene, count))):
+        files[name] = folder / f"{name}.toml"
+        write_toml(files[name], document)
+    return files
+
+
+def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Bytes, Bytes]:
+    """Two pictures, (H, W, 3) RGB: with the lamps alone, and with lamps and laser.
+
+    The head stands at track position 0.  Light adds up, so one render serves both, and so does
+    the exposure of the second.
+    """
+    from sim.devices import metered_layers
+    from sim.render.tank import Tank
+    from sim.sensor import Webcam
+
+    webcam = Webcam(scene)
+    layers, exposure_ms = metered_layers(scene, Tank(scene), webcam, 0.0)
+    dark = webcam.expose(layers.without_laser(), exposure_ms, generator)
+    return dark, webcam.expose(layers, exposure_ms, generator)
+
+
+def held_scenes(scene: Scene, count: int = 10, seed: int = 1) -> list[Scene]:
+    """The scene with its board in ``count`` poses, as different as can be.
+
+    Turned by up to 35 degrees about z and leant by up to 25 about x, its middle within 60 mm
+    of the sheet, anywhere in the picture.  The whole plate is in view, and the sheet crosses
+    it near its middle, lights it and is not nearly parallel to it.  Of poses drawn at random
+    those are taken one by one that differ most from all taken before.
+
+    Parameters
+    ----------
+    scene : Scene, with board, lamps and laser; the board's own pose is not used
+    count : int, of the poses
+    seed : int, of the draws
+
+    Raises
+    ------
+    InputError
+        The scene lacks board, lamps or laser, or too few poses serve.
+    """
+    tank, board = scene.tank, scene.board()
+    if tank.light.ambient_w_m2_sr == 0:
+        raise InputError("light: there is none to see the board by", where=scene.source)
+    if not tank.laser.on:
+        raise InputError("laser.on: is false, no line to see", where=scene.source)
+    drawn = _draw(scene, np.random.default_rng([seed, TRIED]))
+    drawn = drawn.only(_lit_and_seen(scene, board, drawn))
+    drawn = drawn.only(_across_axis(scene, drawn))
+    drawn = drawn.only(_in_picture(scene, board, drawn))
+    if count < 1 or len(drawn.middle_mm) < count:
+        found = f"1 to {len(drawn.middle_mm)}, the poses found that serve"
+        raise InputError("poses of the board", where=scene.source, value=count, allowed=found)
+    chosen = drawn.only(_most_different(drawn.features, count))
+    return [_scene_of_pose(scene, board, chosen, number) for number in range(count)]
+
+
+def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
+    """Poses at random, their middles seen all over the picture.
+
+    Rays near the axis are those of a pinhole with the water's index times the focal length,
+    near enough for a place to try.
+    """
+    drawn = generator.uniform(-1, 1, (TRIED, 5))
+    camera, lens = camera_pose(scene.tank.head), scene.tank.lens
+    size = np.array(scene.rig.camera.size_px)
+    pixel = (drawn[:, 3:] + 1) / 2 * (size - 1)
+    apparent = lens.focal_px * water_optics(scene.tank.water, scene.tank.laser.wavelength_nm).index
+    ahead = np.column_stack([(pixel - np.array(lens.centre_px)) / apparent, np.ones(TRIED)])
+    ray = ahead @ camera.rotation.T
+    laser = scene.tank.laser
+    sheet = sheet_pose(laser, laser.sheets[0])
+    normal = sheet.rotation[:, 1]
+    distance = (sheet.origin_mm - camera.origin_mm) @ normal + MOST_DISTANCE_MM * drawn[:, 2]
+    middle = camera.origin_mm + (distance / (ray @ normal))[:, np.newaxis] * ray
+    return Poses(middle, rotation("ZX", drawn[:, :2] * MOST_DEG), drawn)
+
+
+def _lit_and_seen(scene: Scene, board: Board, poses: Poses) -> Mask:
+    """(K,) whether the sheet crosses and lights the board, and the camera sees its face."""
+    laser, face = scene.tank.laser, -poses.rotation[:, :, 1]
+    sheet = sheet_pose(laser, laser.sheets[0])
+    normal = sheet.rotation[:, 1]
+    off = sheet.invert(poses.middle_mm)[:, 1]
+    across = normal - (face @ normal)[:, np.newaxis] * face  # in the board, across the line
+    sine = np.linalg.norm(across, axis=1)
+    crossing = np.abs(off) <= CROSSED * _half_sides_mm(board).min() * sine
+    crossing &= sine >= np.sin(np.radians(LEAST_CROSSING_DEG))
+    foot = poses.middle_mm - (off / np.maximum(sine, 1e-9) ** 2)[:, np.newaxis] * across
+    light = foot - sheet.origin_mm
+    lit = _cosine(light, -face) >= np.sin(np.radians(LEAST_GRAZE_DEG))
+    x, _, z = sheet.invert(foot).T
+    lit &= np.degrees(np.arctan2(np.abs(x), -z)) <= laser.fan_half_angle_deg
+    sight = poses.middle_mm - np.array(scene.tank.head.camera_mm)
+    return crossing & lit & (_cosine(sight, -face) >= np.cos(np.radians(MOST_ASLANT_DEG)))
+
+
+def _cosine(first: Floats, second: Floats) -> Floats:
+    """(K,) of the angles between vectors (K, 3)."""
+    lengths = np.linalg.norm(first, axis=1) * np.linalg.norm(second, axis=1)
+    return (first * second).sum(axis=1) / lengths
+
+
+def _across_axis(scene: Scene, poses: Poses) -> Mask:
+    """(K,) whether the line runs across the columns, or rows, that it is looked for in."""
+    laser = scene.tank.laser
+    normal = sheet_pose(laser, laser.sheets[0]).rotation[:, 1]
+    along = np.cross(poses.rotation[:, :, 1], normal)
+    ends = [project(scene, poses.middle_mm + way * along) for way in (-1, 1)]
+    du, dv = np.abs(ends[1] - ends[0]).T
+    run, rise = (du, dv) if scene.rig.stripe.axis == "columns" else (dv, du)
+    return rise <= STEEPEST * run
+
+
+def _in_picture(scene: Scene, board: Board, poses: Poses) -> Mask:
+    """(K,) whether the plate's whole outline shows, by the truth's own projection."""
+    local = _outline_mm(board) - _middle_mm(board)
+    head = poses.middle_mm[:, np.newaxis] + local @ poses.rotation.transpose(0, 2, 1)
+    pixels = project(scene, head.reshape(-1, 3)).reshape(*head.shape[:2], 2)
+    size = np.array(scene.rig.camera.size_px)
+    inside = (pixels >= MARGIN_PX) & (pixels <= size - 1 - MARGIN_PX)
+    return np.asarray(inside.all(axis=(1, 2)))
+
+
+def _outline_mm(board: Board) -> Floats:
+    """(4 SIDE_POINTS, 3) points around the plate, board frame."""
+    left, right, bottom, top = board.outline_mm()
+    corners = np.array([[left, bottom], [right, bottom], [right, top], [left, top]])
+    part = np.linspace(0, 1, SIDE_POINTS, endpoint=False)[:, np.newaxis, np.newaxis]
+    x, z = (corners + part * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2).T
+    return np.column_stack([x, np.zeros_like(x), z])
+
+
+def _half_sides_mm(board: Board) -> Floats:
+    """(2,) half the width and half the height of the grid of dots."""
+    grid = board.grid
+    return np.array([grid.columns - 1, grid.rows - 1]) * grid.pitch_mm / 2
+
+
+def _middle_mm(board: Board) -> Floats:
+    """(3,) the middle of the dots, board frame."""
+    width, height = _half_sides_mm(board)
+    return np.array([width, 0.0, -height])
+
+
+def _most_different(features: Floats, count: int) -> list[int]:
+    """Indices of ``count`` rows of (K, F), each as far as can be from all before it."""
+    chosen = [0]
+    nearest = np.linalg.norm(features - features[0], axis=1)
+    while len(chosen) < count:
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(features - features[chosen[-1]], axis=1))
+    return chosen
+
+
+def _scene_of_pose(scene: Scene, board: Board, poses: Poses, number: int) -> Scene:
+    """The scene with its board in one of the poses."""
+    corner = poses.middle_mm[number] - poses.rotation[number] @ _middle_mm(board)
+    turn, tilt = (poses.features[number, :2] * MOST_DEG).tolist()
+    update = {"turn_deg": turn, "tilt_x_deg": tilt, "tilt_y_deg": 0.0}
+    return scene.with_tank(target={"position_mm": tuple(corner.tolist()), **update})
+
+
+def _views(scene: Scene, count: int) -> Document:
+    """The views file, in the words of ``lscan calibrate-metric``."""
+    rig = scene.rig
+    return {
+        "board": {"kind": "dots", "file": "board.toml"},
+        "optics": rig.optics.model_dump(mode="json", exclude_unset=True, exclude_none=True),
+        "stripe": rig.stripe.model_dump(mode="json", exclude_unset=True, exclude_none=True),
+        "view": [
+            {
+                "picture": f"pose-{number}.png",
+                "laser": f"pose-{number}-laser.png",
+                "background": f"pose-{number}.png",
+            }
+            for number in range(count)
+        ],
+    }

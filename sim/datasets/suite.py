@@ -176,15 +176,6 @@ class CaseSet:
             own["lines"] = "rows" if _every(self.file.turned, case) else "columns"
         return own
 
-    def has_pair(self, case: PlannedCase) -> bool:
-        """Whether the case has a picture with the laser off.
-
-        Parameters
-        ----------
-        case : PlannedCase
-        """
-        return isinstance(self.file, LinesFile) and _every(self.file.pairs, case)
-
     def scene(self, case: PlannedCase) -> Scene:
         """The scene of a case, with the seed of its noise.
 
@@ -523,7 +514,7 @@ def make_cases(task: RenderTask) -> str:
         if among.kind == "board":
             write_case(task.folder, board_case(scene, case.name, axes, layers))
             continue
-        pair = among.has_pair(case)
+        pair = isinstance(among.file, LinesFile) and _every(among.file.pairs, case)
         made = line_case(scene, case.name, axes, layers, truths, pair=pair)
         write_case(task.folder, turned_case(made) if axes["lines"] == "rows" else made)
     return ""

@@ -171,12 +171,8 @@ MOST_PROCESSES = 4  # of half a GB each
 PROBE_TIMEOUT_S = 120.0  # a probe takes about 1 s; this is for a machine under heavy load
 
 _NAME = re.compile(r"libLLVM(?:-(\d+)[\w.]*?)?\.so(?:\.(\d+)[\w.]*)?")
-_PLACES = (
-    "lib*",
-    "lib/*-linux-gnu*",
-    "lib/llvm-*/lib",
-    "lib64/llvm*/lib",
-)  # under /usr and the like
+# Under /usr and the like.
+_PLACES = ("lib*", "lib/*-linux-gnu*", "lib/llvm-*/lib", "lib64/llvm*/lib")
 _PROBE = """
 import ctypes, os, resource, sys
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -79,7 +79,9 @@ class Tank:
         self._tune(laser.wavelength_nm)
         self._camera, self._random_camera = self.make_camera(), self.make_camera(jitter=True)
         self._parts = parts = scene_parts(scene)
-        self.mitsuba_scene = mi.load_dict(self._scene_dict(parts))
+        shapes = {f"part-{k}": mitsuba_shape(p, self.water.index) for k, p in enumerate(parts)}
+        lights = {f"sheet-{k}": sheet for k, sheet in enumerate(self.sheets)}
+        self.mitsuba_scene = mi.load_dict({"type": "scene", **shapes, **lights})
         self._sparse = None if sampled else self._few_rays()
         self._sky = self._known_sky(parts)
         self.gathers = bool(self.sheets) and not self._draws_higher_orders(parts)
@@ -427,13 +429,6 @@ class Tank:
             return None
         self.higher.has_ambient = False
         return sky_of(self.mitsuba_scene, parts, self.water)
-
-    def _scene_dict(self, parts: Sequence[MeshPart]) -> dict[str, object]:
-        shapes = {
-            f"part-{k}": mitsuba_shape(part, self.water.index) for k, part in enumerate(parts)
-        }
-        lights = {f"sheet-{k}": sheet for k, sheet in enumerate(self.sheets)}
-        return {"type": "scene", **shapes, **lights}
 
 
 def _optics(scene: Scene) -> tuple[object, ...]:

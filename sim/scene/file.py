@@ -205,9 +205,13 @@ def scene_of(rig_file: RigFile) -> Scene:
             f"includes this one and adds [target] with {error.allowed}",
         ) from None
     head = _on_its_shaft(tank.head, rig_file)
+    sensor = tank.sensor
+    if "laser_response" not in sensor.model_fields_set:  # then a webcam's at that wavelength
+        response = instrument.response_at(tank.laser.wavelength_nm)
+        sensor = sensor.model_copy(update={"laser_response": response})
     scene = Scene(
         rig=rig_file.rig,
-        tank=tank.model_copy(update={"head": head, "sensor": _sensor_at_wavelength(tank)}),
+        tank=tank.model_copy(update={"head": head, "sensor": sensor}),
         document=rig_file.document,
         source=rig_file.source,
     )
@@ -232,14 +236,6 @@ def _on_its_shaft(head: instrument.Head, rig_file: RigFile) -> instrument.Head:
     if true.arc_radius_mm is None:
         true = true.model_copy(update={"arc_radius_mm": stated.arc_radius_mm})
     return head.model_copy(update={"shaft": true})
-
-
-def _sensor_at_wavelength(tank: TankSections) -> instrument.Sensor:
-    """The sensor, with a webcam's response to the laser's wavelength where the file states none."""
-    if "laser_response" in tank.sensor.model_fields_set:
-        return tank.sensor
-    response = instrument.response_at(tank.laser.wavelength_nm)
-    return tank.sensor.model_copy(update={"laser_response": response})
 
 
 def _check_target(scene: Scene) -> None:

@@ -7,7 +7,7 @@ means, the bootstrap-t (sec. 12.5) of squares.
 """
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -373,7 +373,7 @@ def _budget(
         standard_uncertainty=deviation,
         range_95=(float(low), float(high)) if enough else None,
         rms=_rms(mixed, seed),
-        rest=indices.rest if indices and np.isfinite(indices.rest.value) else None,
+        rest=indices.rest.known if indices else None,
         convergence=convergence,
     )
 
@@ -385,8 +385,8 @@ def _cause(
     return CauseBudget(
         cause=group,
         alone_rms=_rms(errors_in(runs, name, alone(group)), seed),
-        first=_finite_bounded(*astuple(own.first)) if own else None,
-        total=_finite_bounded(*astuple(own.total)) if own else None,
+        first=own.first.known if own else None,
+        total=own.total.known if own else None,
         sensitivity=_sensitivity(runs, name, group),
     )
 
@@ -417,8 +417,7 @@ def _weights(runs: int, seed: int) -> Floats:
 
 
 def _finite_bounded(value: float, low: float, high: float) -> Bounded | None:
-    ends = (float(value), float(low), float(high))
-    return Bounded(*ends) if np.isfinite(ends).all() else None
+    return Bounded(float(value), float(low), float(high)).known
 
 
 def _rms(errors: Floats, seed: int) -> Bounded | None:

@@ -328,11 +328,8 @@ def _processes(count: int) -> Iterator[Workers]:
         for child in children:  # whatever they do: what is done has been handed over
             child.kill()
         for pool in pools:
-            if sys.version_info < (
-                3,
-                11,
-                5,
-            ):  # that waits for what it sends to a process that is gone
+            # Before 3.11.5 it waits for what it sends to a process that is gone.
+            if sys.version_info < (3, 11, 5):
                 pool._call_queue._reader.close()  # type: ignore[attr-defined]
             pool.shutdown(cancel_futures=True)
 

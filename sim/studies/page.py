@@ -249,9 +249,8 @@ def _map(maps: Sequence[ErrorMap]) -> StudyPlot | None:
     worst = sorted(maps, key=lambda one: -max(one.rms))
     causes = list(dict.fromkeys(one.cause for one in worst))
     across, along = (_round(axis) for axis in zip(*maps[0].xy_mm, strict=True))
-    chosen = [
-        [figures[figure].get(cause, []) for figure in figures] for cause in causes
-    ]  # by place in the menus
+    # By place in the menus.
+    chosen = [[figures[figure].get(cause, []) for figure in figures] for cause in causes]
     data = {"kind": "map", "unit": escape(maps[0].unit), "x": across, "y": along, "values": chosen}
     caption = (
         "The error over the surface with this cause alone at work. "
@@ -459,18 +458,16 @@ def _gain_sentence(before: OutputBudget, after: OutputBudget, cause: str) -> str
     """What recalibrating takes away."""
     if before.rms is None or after.rms is None:
         return ""
-    apart = after.rms.high < before.rms.low or after.rms.low > before.rms.high
-    if not apart:
+    if after.rms.high >= before.rms.low and after.rms.low <= before.rms.high:
         return "Recalibrating does not change the rms error measurably."
     words = f"Recalibrating takes the rms error {_from_to(before.rms, after.rms, before.unit)}"
     first, second = (
         next((c.alone_rms for c in budget.causes if c.cause == cause), None)
         for budget in (before, after)
     )
-    alone = (
-        f"; with {cause} alone, {_from_to(first, second, before.unit)}" if first and second else ""
-    )
-    return f"{words}{alone}."
+    if first and second:
+        words += f"; with {cause} alone, {_from_to(first, second, before.unit)}"
+    return f"{words}."
 
 
 def _from_to(first: Bounded, second: Bounded, unit: str) -> str:

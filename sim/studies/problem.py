@@ -279,6 +279,11 @@ class Bounded:
         """Half of the interval's width."""
         return (self.high - self.low) / 2
 
+    @property
+    def known(self) -> "Bounded | None":
+        """It, or None where it has no interval."""
+        return self if np.isfinite([self.value, self.half_width]).all() else None
+
 
 def set_sums(samples: Floats) -> Floats:
     """(SETS, q) sums of (N, q) samples over those of each set.

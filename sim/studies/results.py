@@ -397,7 +397,10 @@ def evaluate_rows(source: ProblemSource, sha256: str, rows: Floats) -> Batch:
     began_s = time.perf_counter()
     for n, row in enumerate(rows):
         try:
-            values[n] = _checked(problem.evaluate(row.copy()), values.shape[1])
+            errors = problem.evaluate(row.copy())
+            if np.shape(errors) != values[n].shape:
+                raise ValueError(f"errors of shape {np.shape(errors)} instead of {values[n].shape}")
+            values[n] = errors
             status.append(OK)
         except LscanError as error:
             status.append(_one_line(str(error)))
@@ -406,13 +409,6 @@ def evaluate_rows(source: ProblemSource, sha256: str, rows: Floats) -> Batch:
             traces.setdefault(status[-1], traceback.format_exc())
     seconds = time.perf_counter() - began_s
     return Batch(rows, Results(values, tuple(status)), seconds, traces)
-
-
-def _checked(errors: Floats, size: int) -> Floats:
-    """What a problem returned, where it has as many values as its outputs have."""
-    if np.shape(errors) != (size,):
-        raise ValueError(f"errors of shape {np.shape(errors)} instead of ({size},)")
-    return errors
 
 
 def _one_line(text: str) -> str:

@@ -272,6 +272,7 @@ def run_rows(
     files = named_files(dict(source.document))
     # Each row of a batch that kills its worker is tried as a batch of its own.
     stream = calls_done(workers, evaluate, batches, lambda batch: batch[:, None], files=files)
+    killed = Results(np.full((1, 0), np.nan), (KILLED,))  # of a row that kills whoever evaluates it
     stops: list[bool] = []
 
     def stop() -> None:
@@ -280,7 +281,7 @@ def run_rows(
 
     with closing(stream), on_stop_signals(stop):
         for calls in stream:
-            finished = [_batch_of_killed(rows) if batch is None else batch for rows, batch in calls]
+            finished = [batch or Batch(row, killed, 0.0) for row, batch in calls]
             for batch in finished:
                 batches.learn(len(batch.rows), batch.seconds)
             _log_faults(finished, logged)
@@ -291,11 +292,6 @@ def run_rows(
             if stops:  # raised in a destructor, of which Python tells nobody
                 raise KeyboardInterrupt
     return store.results(rows)
-
-
-def _batch_of_killed(row: Floats) -> Batch:
-    """What became of a row that kills whoever evaluates it."""
-    return Batch(row, Results(np.full((1, 0), np.nan), (KILLED,)), 0.0)
 
 
 def require_at_most(rows: Floats, at_most: int | None, more: int = 0) -> None:

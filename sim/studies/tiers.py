@@ -146,7 +146,7 @@ def tier_rows(
         rows += [
             TierRow(_words(output.name, what), output.unit, *bounds)
             for what, bounds in compared.items()
-            if np.isfinite(bounds[2].half_width)
+            if bounds[2].known
         ]
     return tuple(rows)
 
@@ -174,9 +174,9 @@ def in_rendered_physics(
         budget,
         causes=tuple(map(cause, budget.causes)),
         base_rms=base.value if base else None,
-        mean=_if_bounded(moments.mean if budget.places == 1 else _root(moments.systematic)),
-        standard_uncertainty=_if_bounded(_root(moments.variance)),
-        rms=_if_bounded(_root(moments.mean_square)),
+        mean=(moments.mean if budget.places == 1 else _root(moments.systematic)).known,
+        standard_uncertainty=_root(moments.variance).known,
+        rms=_root(moments.mean_square).known,
         after=budget.after and in_rendered_physics(budget.after, indices, tiers),
     )
 
@@ -219,10 +219,6 @@ def _base(geometric: Floats, rendered: Floats) -> tuple[Bounded, Bounded, Bounde
 def _root(square: Bounded) -> Bounded:
     ends = (square.value, square.low, square.high)
     return Bounded(*(float(np.sqrt(max(end, 0.0))) for end in ends))
-
-
-def _if_bounded(bounded: Bounded) -> Bounded | None:
-    return bounded if np.isfinite(bounded.half_width) else None
 
 
 def _words(output: str, what: str) -> str:
@@ -356,7 +352,13 @@ def find_tolerances(
         in_share=bound.in_share,
         by_cost=_has_costs(loose),
         causes=tuple(
-            _tolerance(name, cause, factors.get(name)) for name, cause in file.cause.items()
+            Tolerance(
+                name,
+                cause.in_words,
+                cause.scaled(factors[name]).in_words if name in factors else None,
+                factors.get(name),
+            )
+            for name, cause in file.cause.items()
         ),
         floor_mm=_finite(floor),
         stated_mm=_finite(stated),
@@ -442,12 +444,6 @@ def _share(kept: Mask) -> Bounded:
     test = binomtest(int(kept.sum()), len(kept))
     interval = test.proportion_ci(CONFIDENCE, method="wilson")
     return Bounded(float(kept.mean()), float(interval.low), float(interval.high))
-
-
-def _tolerance(name: str, cause: Cause, factor: float | None) -> Tolerance:
-    if factor is None:
-        return Tolerance(name, cause.in_words, None, None)
-    return Tolerance(name, cause.in_words, cause.scaled(factor).in_words, factor)
 
 
 def _note(bound: Bound, floor: float, factors: Mapping[str, float], allowed: float | None) -> str:

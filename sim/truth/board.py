@@ -7,7 +7,6 @@ from functools import cached_property
 import numpy as np
 import shapely
 
-from lscan.config.board import Ring
 from lscan.records import BoardReading, Floats, Ints, Mark, Marks, RingPoints, RulerReading, Status
 from sim.scene import Scene, into_head, target_pose
 from sim.truth.camera import project
@@ -83,7 +82,9 @@ class BoardTruth:
             for d, shift in zip(board.dot, by_dot, strict=True)
         }
         rings = {
-            r.name: marks(_ring_places(r), r.width_mm, shift)
+            r.name: marks(
+                np.array([r.x_mm, r.z_mm]) + _circle(RING_POINTS, r.diameter_mm), r.width_mm, shift
+            )
             for r, shift in zip(board.ring, by_ring, strict=True)
         }
         return BoardReading(
@@ -183,13 +184,8 @@ def _single(marks: Marks) -> Mark:
     return Mark(marks.image_px[0], float(marks.sigma_px[0]), Status(int(marks.status[0])))
 
 
-def _ring_places(ring: Ring) -> Floats:
-    """(RING_POINTS, 2) places on the ring's centre line, counter-clockwise from the right."""
-    return np.array([ring.x_mm, ring.z_mm]) + _circle(RING_POINTS, ring.diameter_mm)
-
-
 def _circle(count: int, diameter_mm: float) -> Floats:
-    """(count, 2) points on a circle about 0."""
+    """(count, 2) points on a circle about 0, counter-clockwise from the right."""
     angle = 2 * np.pi * np.arange(count) / count
     return diameter_mm / 2 * np.column_stack([np.cos(angle), np.sin(angle)])
 

@@ -332,7 +332,9 @@ def _join_rows(truths: Sequence[StripeTruth], rows: Floats) -> StripeTruth:
     shown = centres if truths[0].axis == "columns" else index + 0 * centres
     ahead = shown - rows[:, np.newaxis]  # of the row read out with the head there
     near = np.where(np.isnan(ahead), np.inf, np.abs(ahead)).argmin(axis=0)
-    other = _other_side(ahead, near)
+    before, after = np.maximum(near - 1, 0), np.minimum(near + 1, len(rows) - 1)
+    # The neighbour at which the line is on the other side of its row.
+    other = np.where(ahead[near, index] * ahead[before, index] < 0, before, after)
     caught = np.abs(ahead[near, index]) <= rows[1] - rows[0]
 
     def values(name: str, of: Ints) -> np.ndarray:
@@ -369,11 +371,3 @@ def _share(here: Floats, there: Floats, same: Mask) -> Floats:
     part = np.zeros(len(here))
     part[crosses] = here[crosses] / (here - there)[crosses]
     return part
-
-
-def _other_side(ahead: Floats, near: Ints) -> Ints:
-    """(N,) the neighbour of ``near`` at which the line is on the other side of its row."""
-    index, last = np.arange(ahead.shape[1]), len(ahead) - 1
-    before, after = np.maximum(near - 1, 0), np.minimum(near + 1, last)
-    crosses_before = ahead[near, index] * ahead[before, index] < 0
-    return np.where(crosses_before, before, after)

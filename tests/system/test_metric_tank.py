@@ -10,7 +10,7 @@ from places import SCENES
 from lscan.calibration.metric.solve import MetricCalibration, calibrate_metric
 from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.records import Floats, Status
-from sim.datasets.views import held_scenes
+from sim.datasets.files import held_scenes
 from sim.scene import Scene, load_scene
 from sim.truth import board_truth, project, sheet_of, stripe_truth
 from tests.validation.instrument.metric import calibrated, sheet_error
@@ -109,7 +109,7 @@ def test_steps_in_the_sheet_whatever_the_board_did(medium: str, moved: Moved) ->
 
 def test_the_line_lies_as_far_off_the_sheet_as_its_noise_takes_it() -> None:
     """A pixel across the line is 1.1 to 1.3 mm of board, and its share across the sheet is the
-    sine of their angle: 15 deg at least (sim.datasets.views), 60 more than the poses reach.
+    sine of their angle: 15 deg at least (sim.datasets.files), 60 more than the poses reach.
     """
     rms_mm = solved("air", seed=3, noise=1.0).line_rms_mm
     least, most = np.sin(np.radians([15.0, 60.0])) * [1.1, 1.3]

@@ -295,9 +295,8 @@ GATHERING, BESIDE_DIRECTIONS = 704, 32  # nodes, and directions from each
 EVERY, CORNER_MM = 2, (0.25, 0.8, 2.0)
 ROWS = SEGMENTS // EVERY + 128
 FAN_ANGLES = 16384  # of the fan, at which the place between rows is kept
-OFF_PLANE_MM = (
-    0.05  # off a node's tangent plane, of places on its surface, beside LEAVES times as far
-)
+# Off a node's tangent plane, of places on its surface, beside LEAVES times as far.
+OFF_PLANE_MM = 0.05
 LIKE = 1 - 2 * CREASE_RAD**2  # cosine between normals of one surface: twice a crease
 Radiosity = Callable[[mi.SurfaceInteraction3f], mi.Float]
 

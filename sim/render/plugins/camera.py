@@ -92,13 +92,6 @@ class DomeOptics:
         return PortCrossing(point, water, dr.select(inside, weight, 0.0))
 
 
-def closed_form(port: Port, glass_index: float, water_index: float) -> PortOptics:
-    """The port's closed form; the indices of glass and water are relative to air."""
-    if isinstance(port, PlanePort):
-        return FlatOptics(port, glass_index, water_index)
-    return DomeOptics(port, glass_index, water_index)
-
-
 def port_rotation(port: PlanePort) -> Floats:
     """(3, 3) port frame to camera frame; the last column is the normal, towards the water."""
     return rotation("YX", (port.tilt_y_deg, port.tilt_x_deg))
@@ -222,7 +215,9 @@ class RefractiveCamera(mi.Sensor):
         port : Port, its air gap and its glass
         glass_index, water_index : float, relative to air
         """
-        return closed_form(port, glass_index, water_index)
+        if isinstance(port, PlanePort):
+            return FlatOptics(port, glass_index, water_index)
+        return DomeOptics(port, glass_index, water_index)
 
     def place(self, pose: Pose) -> None:
         """Put the camera at a pose.

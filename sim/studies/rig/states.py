@@ -90,12 +90,15 @@ def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigState
         _apply_numbers(study.calibrate, state, CALIBRATE, where) for state in (before, since)
     )
     scan = _apply_numbers(study.scan, since, SCAN, where)
+    if changes:
+        every = (*scan.tank.change, *changes)
+        scan = replace(scan, tank=scan.tank.model_copy(update={"change": every}))
     motion, motion_anew = (sheet_motion(study.calibrate, one) for one in (board, anew))
     ought = board_in_sheet(study.calibrate)
     return RigStates(
         calibrate=_into_sheet(board, motion),
         recalibrate=_into_sheet(anew, motion_anew) if since != before else None,
-        scan=_with_changes(scan, changes),
+        scan=scan,
         frame=motion @ ought,
         frame_anew=motion_anew @ ought,
         seeds=seeds,
@@ -178,12 +181,8 @@ def check_keys(study: Study) -> None:
                 states_of(study, row)
             except InputError as error:
                 where = f"{study.source}, [cause.{study.causes[column]}]"
-                raise replace_where(error, where) from error
-
-
-def replace_where(error: InputError, where: str) -> InputError:
-    """The same error, of another place."""
-    return InputError(error.what, where=where, value=error.value, allowed=error.allowed)
+                value, allowed = error.value, error.allowed
+                raise InputError(error.what, where=where, value=value, allowed=allowed) from error
 
 
 def _apply_numbers(scene: Scene, numbers: dict[str, float], own: str, where: str) -> Scene:
@@ -210,13 +209,6 @@ def _change(cause: Cause, share: float, where: str) -> Change:
         "seed": _seed(share),
     }
     return check(Change, stated | spread, where)
-
-
-def _with_changes(scene: Scene, changes: list[Change]) -> Scene:
-    if not changes:
-        return scene
-    own = scene.tank.change
-    return replace(scene, tank=scene.tank.model_copy(update={"change": (*own, *changes)}))
 
 
 def correlate(row: Floats, root: Floats | None) -> Floats:
@@ -359,15 +351,6 @@ class PlacesInState:
             apex_xz(self.scene.tank.laser) + distance_mm[:, None] * self._away
         )
 
-    def in_world(self, points_head: Floats) -> Floats:
-        """(P, 3) mm, world frame, of one point for each place.
-
-        Parameters
-        ----------
-        points_head : (P, 3) array, mm, head frame
-        """
-        return into_world(self.scene.tank.head, points_head, self.position_mm)
-
 
 def lit_points(parts: Sequence[PlacesInState]) -> tuple[list[Floats], Floats]:
     """Where the rays of the fan meet the surface: (P_i, 3) mm, head frame; (P, 3) mm, world frame.
@@ -389,7 +372,9 @@ def lit_points(parts: Sequence[PlacesInState]) -> tuple[list[Floats], Floats]:
 
     def world(distance: Floats) -> Floats:
         pairs = zip(parts, points(distance), strict=True)
-        return np.concatenate([part.in_world(own) for part, own in pairs])
+        return np.concatenate(
+            [into_world(part.scene.tank.head, own, part.position_mm) for part, own in pairs]
+        )
 
     above = _heights_above(parts)
     distance = np.concatenate([part.places.distance_mm for part in parts])

@@ -14,7 +14,7 @@ from lscan.config.board import load_board
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture
 from lscan.records import Status
-from sim.datasets.views import MOST_DEG, MOST_DISTANCE_MM, held_scenes, write_views
+from sim.datasets.files import MOST_DEG, MOST_DISTANCE_MM, held_scenes, write_views
 from sim.scene import Scene, load_scene, target_pose
 from sim.truth import board_truth, project, sheet_of, stripe_truth
 

@@ -8,7 +8,7 @@ import numpy as np
 from lscan.calibration.metric.solve import MetricCalibration, calibrate_metric
 from lscan.calibration.metric.views import load_views, read_views
 from lscan.records import Floats
-from sim.datasets.views import write_views
+from sim.datasets.files import write_views
 from sim.scene import Scene, camera_pose, load_scene
 from sim.truth import sheet_of
 from tests.validation.instrument.effort import AccuracyEffort

@@ -15,7 +15,7 @@ from lscan.calibration.metric.views import CalibrationView, line_on_board
 from lscan.camera.posedboards import priors_of
 from lscan.records import Floats, Marks, Status
 from lscan.stripe import extract_stripe
-from sim.datasets.views import held_scenes
+from sim.datasets.files import held_scenes
 from sim.devices import metered_layers
 from sim.render.layers import Layers
 from sim.render.tank import Tank

@@ -19,7 +19,7 @@ from lscan.calibration.physical import PhysicalMap
 from lscan.config.rig import OpticsSection, Rig, SinceSection
 from lscan.records import Floats
 from lscan.water import refractive_index
-from sim.datasets.views import held_scenes
+from sim.datasets.files import held_scenes
 from sim.scene import Pose, Scene, camera_pose, load_scene
 from sim.truth import project, sheet_of
 from tests.validation.exposures import band_miss_percent, share_inside
