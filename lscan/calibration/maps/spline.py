@@ -276,14 +276,7 @@ class Spline(SolvedMap):
         image_px : (N, 2) array, px, of (u, v)
         variance_px2 : (N,) array, px², of either pixel coordinate
         """
-        jacobian, scaled = self.base.derivatives(image_px), self.pixels.apply(image_px)
-        rows = self.basis.rows(scaled)
-        for axis, by in enumerate(((1, 0), (0, 1))):
-            bend = self.basis.rows(scaled, *by) @ self.coefficients.T
-            jacobian[:, :, axis] += bend / self.pixels.scale[axis]
-        modes = separate_modes(*(rows @ root for root in self.roots))
-        places = self.base.places(image_px) + rows @ self.coefficients.T
-        return estimate_of(places, jacobian, modes, variance_px2)
+        return self._estimate_with(image_px, variance_px2, None)
 
     def in_few_modes(self, image_px: Floats, variance_px2: Floats) -> Estimate:
         """As ``estimate``, with the strongest modes alone; what the others do is each point's own.
@@ -293,10 +286,23 @@ class Spline(SolvedMap):
         image_px : (N, 2) array, px, of (u, v)
         variance_px2 : (N,) array, px², of either pixel coordinate
         """
-        whole, of_x = self.estimate(image_px, variance_px2), self.roots[0]
-        assert whole.modes_mm is not None
-        modes = [m[:, :, :FEW] for m in np.split(whole.modes_mm, [of_x.shape[1]], axis=2)]
-        return replace(whole, modes_mm=np.concatenate(modes, axis=2))
+        return self._estimate_with(image_px, variance_px2, FEW)
+
+    def _estimate_with(self, image_px: Floats, variance_px2: Floats, most: int | None) -> Estimate:
+        """The points with at most so many modes of x and of z."""
+        jacobian, scaled = self.base.derivatives(image_px), self.pixels.apply(image_px)
+        rows = self.basis.rows(scaled)
+        for axis, by in enumerate(((1, 0), (0, 1))):
+            bend = self.basis.rows(scaled, *by) @ self.coefficients.T
+            jacobian[:, :, axis] += bend / self.pixels.scale[axis]
+        errors = [rows @ root for root in self.roots]
+        modes = separate_modes(*(each[:, :most] for each in errors))
+        places = self.base.places(image_px) + rows @ self.coefficients.T
+        known = estimate_of(places, jacobian, modes, variance_px2)
+        if most is None:
+            return known
+        rest = np.column_stack([(each[:, most:] ** 2).sum(axis=1) for each in errors])
+        return replace(known, variance_mm2=known.variance_mm2 + rest)
 
 
 class SplineSolver(MapSolver[Spline]):
@@ -385,10 +391,8 @@ def with_hidden_errors(
         assert isinstance(smooth, Spline)
         other = plane_map.model_copy(update={"lack_of_fit_mm": smooth.lack_of_fit_mm})
         other._smooth = smooth.in_few_modes
-    marks, theta = (
-        found_on([joined_marks(reading)], [0]),
-        priors_of(optics, reading.image_size).mean,
-    )
+    marks = found_on([joined_marks(reading)], [0])
+    theta = priors_of(optics, reading.image_size).mean
     known = any(getattr(optics, name) for name in BoardKnown.__annotations__)
     view = posed_boards(theta, optics.port, marks) if known else None
     if view is not None:
