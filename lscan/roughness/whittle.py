@@ -554,6 +554,8 @@ class _Likelihood:
             theta, size, expected = theta + step, found, there
             if np.abs(step).max() < CLOSE or (theta[1] > TOO_STEEP and not self.second):
                 return theta
+            if theta[1] < 0:
+                break  # a spectrum that does not fall is noise, of which no law is likelier
         raise MeasurementError("roughness: no power law makes the patch most likely")
 
     def _cost(self, theta: Floats) -> tuple[float, Floats]:

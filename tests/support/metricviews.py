@@ -232,8 +232,7 @@ def fisheye_views(
         line_px = fisheye_px(place + reach)
         marks = replace(marks, image_px=fisheye_px(local @ pose.rotation[:, :2].T + place))
         level = np.ptp(line_px[:, 0]) >= np.ptp(line_px[:, 1])
-        sigma = np.full(LINE_POINTS, noise_px)
-        line = LinePoints(line_px, sigma, "columns" if level else "rows")
+        line = LinePoints(line_px, np.full(LINE_POINTS, noise_px), "columns" if level else "rows")
         views.append(with_noise(CalibrationView(f"{number}", marks, line), noise_px, rng))
     return views
 

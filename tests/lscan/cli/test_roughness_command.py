@@ -70,7 +70,7 @@ def test_blur_that_was_corrected_for_is_not_divided_out_again(
     """What the command takes the scanner to pass, which test_linereading.py holds to its closed
     form: of a corrected line more of all waves of 8 to 16 pixels, so that less is added to them.
 
-    Rings of two fits are not in that order one by one: each is the fitted law times how far the
+    Rings of two fits need not be in that order one by one: each is the fitted law times how far the
     patch is off its expectation, and law, leakage and differences are others.
     """
     corrected = tmp_path / "corrected.nc"
@@ -90,9 +90,6 @@ def test_blur_that_was_corrected_for_is_not_divided_out_again(
     lengths = [(one.blur_cm, one.pixel_cm, one.corrected_px) for one in told]
     expected = [(0.0, 0.0, 0.0), (0.14, 0.2, 0.7), (0.14, 0.2, 0.0)]
     np.testing.assert_allclose(lengths, expected)
-    waves = 2 * np.pi / np.linspace(1.6, 3.2, 9)
-    passed = [response(0 * waves, waves) for response in told]
-    assert (passed[0] > passed[1]).all() and (passed[1] > passed[2]).all()
     refused(call(capsys, "roughness", corrected, "--blur", 1.4), "--pixel", "0.7 px")
 
 

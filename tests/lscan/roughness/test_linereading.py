@@ -20,7 +20,6 @@ SPECKLED = StripeSection(
 SHEET = SheetSection(thickness_mm=1.5, camera_mm=(20.0, -800.0, 300.0), apex_mm=(20.0, 0.0, 250.0))
 
 
-@pytest.mark.usefixtures("few_lines")
 def test_the_whole_line_s_centroid_is_read_as_its_closed_form() -> None:
     """But for the waves' own size: a line moves in their cosine by the even terms beside it, whose
     first, of steepness s = size AMPLITUDE_PX / SHEET_PX, is s² / 8 of it (Bessel's J1)."""
@@ -32,7 +31,7 @@ def test_the_whole_line_s_centroid_is_read_as_its_closed_form() -> None:
     np.testing.assert_allclose(found.at(between), transfer(between / (2 * np.pi), 1.0), atol=off)
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def few_lines(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quarter of the lines for each wave: what is compared has as many."""
     monkeypatch.setattr(instrument, "COLUMNS", 12)
@@ -51,7 +50,6 @@ def test_a_fit_under_speckle_heeds_the_skirts() -> None:
     assert under.gain[0] == pytest.approx(1.0, abs=1e-3)  # a line that moves as a whole
 
 
-@pytest.mark.usefixtures("few_lines")
 def test_no_line_and_no_length_are_refused() -> None:
     with pytest.raises(InputError, match="finds no line"):
         line_reading(StripeSection(), SHEET_PX, BLUR_PX, 5.0)
@@ -70,7 +68,6 @@ def scanned() -> Surface:
     return Surface(xyz, 0 * x, 0 * x + 0.05, status, y[:, 0], "head")
 
 
-@pytest.mark.usefixtures("few_lines")
 def test_a_rig_says_the_response_at_its_surface(scanned: Surface) -> None:
     """Sines and pixels by hand: sheet 0.75 mm, of which 600 / 1000 across the line of sight."""
     rig = load_rig("paper/board").rig.model_copy(

@@ -97,7 +97,7 @@ def test_a_fisheye_is_refused_by_name() -> None:
 
 def test_a_lens_a_little_beside_the_model_is_named() -> None:
     """It counts, with an uncertainty that holds what all views share."""
-    views = fisheye_views(np.random.default_rng(2), 8, 200.0, 0.6, NOISE_PX)
+    views = fisheye_views(np.random.default_rng(2), 5, 200.0, 0.6, NOISE_PX)
     found = calibrate_camera(views, known(RIG), SIZE)
     assert "times as far off" in found.misfit and "fisheye" in found.misfit
     assert abs(found.theta[0] - 290.0) < 3 * found.sigma[0]
