@@ -18,7 +18,7 @@ from pydantic import Field, PositiveFloat, model_validator
 
 from lscan.acquisition.run import require_same_files
 from lscan.config.documents import Strict, check, named_files
-from lscan.config.rig import Plan, RigFile, load_rig
+from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, PassiveTrack, Track, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError
 from lscan.records import Bytes
@@ -144,11 +144,13 @@ class SimCamera:
 
         self._scene, self._track = scene, track
         camera_options(scene)
-        self._pictures: Ahead[Grab] | None = Ahead(
-            partial(TankCamera, scene, named_files(scene.document)),
-            _planned_grabs(scene.rig.plan),
-            sharing,
-        )
+        planned = [  # what ``TankCamera`` is called with in a scan, in its order
+            (index, position_mm, dark, not dark)
+            for index, position_mm in enumerate(scene.rig.plan.positions_mm())
+            for dark in ((False, True) if scene.rig.plan.paired else (False,))
+        ]
+        make = partial(TankCamera, scene, named_files(scene.document))
+        self._pictures: Ahead[Grab] | None = Ahead(make, planned, sharing)
         self._next = 0
 
     @property
@@ -182,15 +184,6 @@ class SimCamera:
         pictures, self._pictures = self._pictures, None
         if pictures is not None:
             pictures.close()
-
-
-def _planned_grabs(plan: Plan) -> list[tuple[int, float, bool, bool]]:
-    """What ``TankCamera`` is called with in a scan, in its order."""
-    return [
-        (index, position_mm, dark, not dark)
-        for index, position_mm in enumerate(plan.positions_mm())
-        for dark in ((False, True) if plan.paired else (False,))
-    ]
 
 
 class SimTrackDriver(TravelDriver[TrackOptions]):

@@ -47,11 +47,6 @@ class HelperProcess:
         )
         self._make: Callable[[], Callable[..., Any]] | None = make
 
-    @property
-    def process_id(self) -> int:
-        """The process's number."""
-        return self._process.pid
-
     def wait(self) -> None:
         """Wait until it is ready; HelperEnded where it does not come to that."""
         make, self._make = self._make, None

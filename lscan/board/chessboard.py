@@ -61,19 +61,14 @@ def corner_lattices(grey: Image, most: int) -> Iterator[Floats]:
     """
     noise = np.full_like(grey, noise_of(grey))
     for scale in SCALES_PX:
-        for seeds in _seeds(grey, scale):
+        points, strength = _saddles(grey, scale)
+        found = [find_crosses(points, strength, float(width * scale)) for width in SQUARES]
+        best = max(found, key=lambda several: float(several.strength.sum()))
+        # Up to three: a corner, the one beneath and the one to its right.
+        for seeds in best.seeds[np.argsort(best.uneven, kind="stable")[:SEEDS]]:
             nodes = _grow_lattice(grey, noise, seeds, most)
             if nodes.found.sum() >= FEWEST_SADDLES:
                 yield nodes.part(nodes.extent()).points
-
-
-def _seeds(grey: Image, scale_px: float) -> list[Floats]:
-    """Up to three (3, 2) px: a corner, the one beneath and the one to its right."""
-    points, strength = _saddles(grey, scale_px)
-    found = [find_crosses(points, strength, float(width * scale_px)) for width in SQUARES]
-    best = max(found, key=lambda several: float(several.strength.sum()))
-    order = np.argsort(best.uneven, kind="stable")[:SEEDS]
-    return list(best.seeds[order])
 
 
 def _saddles(grey: Image, scale_px: float) -> tuple[Floats, Floats]:

@@ -474,7 +474,12 @@ def find_crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
     neighbours = points[np.where(usable, index, 0)]
     points, strength = points[enough], strength[enough]
     away = neighbours - points[:, None]  # (N, count, 2)
-    turn = _turn_to_upright(away, usable)
+    # Turned, by 45 degrees at most, so that the nearest neighbour lies on an axis.
+    nearest = _nearest(away, usable)
+    angle = np.arctan2(nearest[:, 1], nearest[:, 0])
+    lean = np.nan_to_num(angle - np.rint(angle / (np.pi / 2)) * (np.pi / 2))
+    cos, sin = np.cos(lean), np.sin(lean)
+    turn = np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2)
     away = away @ turn
     right = _nearest(away, usable & (np.abs(away[..., 1]) < LEAN * away[..., 0]))
     left = _nearest(away, usable & (np.abs(away[..., 1]) < -LEAN * away[..., 0]))
@@ -488,15 +493,6 @@ def find_crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
     beneath, right = ((step[:, None] @ back)[:, 0] for step in (beneath, right))
     seeds = np.stack([points, points + beneath, points + right], axis=1)
     return Crosses(seeds[good], uneven.sum(axis=0)[good], strength[good])
-
-
-def _turn_to_upright(away: Floats, usable: Mask) -> Floats:
-    """(N, 2, 2) rotations, by 45 degrees at most, that bring the nearest neighbour to an axis."""
-    nearest = _nearest(away, usable)
-    angle = np.arctan2(nearest[:, 1], nearest[:, 0])
-    lean = np.nan_to_num(angle - np.rint(angle / (np.pi / 2)) * (np.pi / 2))
-    cos, sin = np.cos(lean), np.sin(lean)
-    return np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2)
 
 
 def _nearest(away: Floats, wanted: Mask) -> Floats:

@@ -153,11 +153,17 @@ def photograph(image: Bytes, overlay: str, alt: str) -> str:
             allowed="(H, W) or (H, W, 3) uint8",
         )
     height, width = image.shape[:2]
+    # JPEG without chroma subsampling: the laser's red line and coloured marks stay sharp.
+    settings = [cv2.IMWRITE_JPEG_QUALITY, 90]
+    settings += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    bgr = image if image.ndim == 2 else image[:, :, ::-1]
+    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(bgr), settings)
+    data = base64.b64encode(encoded.tobytes()).decode("ascii")
     # The picture's corner is half a pixel up and left of the centre of its first pixel.
     frame = f'x="-0.5" y="-0.5" width="{width}" height="{height}"'
     text = (
         f'<svg viewBox="-0.5 -0.5 {width} {height}" class="photograph">'
-        f'<image {frame} href="{_data_uri(image)}"/>{overlay}</svg>'
+        f'<image {frame} href="data:image/jpeg;base64,{data}"/>{overlay}</svg>'
     )
     return _with_label(text, alt)
 
@@ -175,15 +181,6 @@ def spots(points: Floats, colour: str, width_px: float) -> str:
     path = "".join(f"M{u:.2f},{v:.2f}h0" for u, v in seen)
     style = f'fill="none" stroke="{colour}" stroke-width="{width_px}" stroke-linecap="round"'
     return f'<path {style} d="{path}"/>'
-
-
-def _data_uri(image: Bytes) -> str:
-    # JPEG without chroma subsampling: the laser's red line and coloured marks stay sharp.
-    settings = [cv2.IMWRITE_JPEG_QUALITY, 90]
-    settings += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    bgr = image if image.ndim == 2 else image[:, :, ::-1]
-    _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(bgr), settings)
-    return f"data:image/jpeg;base64,{base64.b64encode(encoded.tobytes()).decode('ascii')}"
 
 
 def _with_label(text: str, alt: str) -> str:

@@ -22,7 +22,6 @@ from lscan.records import (
     Bytes,
     Floats,
     GreyValues,
-    Ints,
     PlanePoints,
     Status,
     Stripe,
@@ -93,7 +92,11 @@ def measure_line(image: Bytes, settings: StripeSection, plane_map: PlaneMap | No
     stripe = extract_stripe(part, settings)
     grey, at = whole.grey[:, band], np.flatnonzero(has_value(stripe.status))
     variance = constant_variance(whole.grey)
-    focus = sharpness(_light_about(grey, stripe.centre_px[at], at), variance)
+    # About the line's centres, above the median of each column.
+    middle = np.rint(stripe.centre_px[at]).astype(np.int64)[:, None]
+    rows = middle + np.arange(-FOCUS_REACH_PX, FOCUS_REACH_PX + 1)
+    window = grey[at[:, None], np.clip(rows, 0, grey.shape[1] - 1)].astype(np.float64)
+    focus = sharpness(window - np.median(grey[at], axis=1, keepdims=True), variance)
     line = StripeFigures(
         stripe=replace(stripe, centre_px=stripe.centre_px + band.start),
         width_px=FULL_WIDTH * line_width(grey, at, crests(grey)[at]) if len(at) else None,
@@ -164,14 +167,6 @@ def slope_of(centre_px: Floats) -> float | None:
 
 def _saturated_percent(lines: PictureLines) -> float:
     return 100 * float(lines.clipped.mean())
-
-
-def _light_about(grey: GreyValues, centre_px: Floats, at: Ints) -> Floats:
-    """(K, L) DN above the column's median, about the line's centres (K,) in the columns ``at``."""
-    middle = np.rint(centre_px).astype(np.int64)[:, None]
-    rows = middle + np.arange(-FOCUS_REACH_PX, FOCUS_REACH_PX + 1)
-    window = grey[at[:, None], np.clip(rows, 0, grey.shape[1] - 1)].astype(np.float64)
-    return window - np.median(grey[at], axis=1, keepdims=True)
 
 
 # What the live page says of the calibration board: its marks, residuals, place off the sheet.

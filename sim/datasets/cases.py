@@ -12,7 +12,7 @@ from lscan.config.targets import Sandwave
 from lscan.errors import InputError
 from lscan.records import Bytes, Floats, Ints, Mask, Status
 from lscan.suites import BoardCase, CaseTruth, LightLayers, ScanCase, SuiteCase
-from sim.datasets.labels import label_scene, one_step_w_m2_sr
+from sim.datasets.labels import label_scene, lit_truths, one_step_w_m2_sr
 from sim.devices import exposure_of
 from sim.render.layers import Layers
 from sim.render.tank import Tank
@@ -91,10 +91,14 @@ def line_truths(scene: Scene) -> list[StripeTruth]:
     Parameters
     ----------
     scene : Scene
+
+    Raises
+    ------
+    InputError
+        As ``sim.truth.stripe_truth``.
     """
-    laser = scene.tank.laser
-    lines = range(len(laser.sheets) if laser.on else 1)
-    return [stripe_truth(scene, scene.rig.plan.start_mm, line) for line in lines]
+    start_mm = scene.rig.plan.start_mm
+    return lit_truths(scene, start_mm) or [stripe_truth(scene, start_mm)]
 
 
 def line_case(

@@ -420,7 +420,11 @@ def make_dataset(
     folder = folder.resolve()
     with locked_folder(folder, "data set"):
         remove_temporaries(folder)
-        identity = _identity(spec, count, form)
+        content = {"lscan": __version__, "count": count, "format": form, **spec.document}
+        sha256 = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        # By name for who asks which it was; what they hold is in the scenes' own hashes.
+        files = {Path(file).name: its_sha256 for file, its_sha256 in spec.files.items()}
+        identity = {"files_sha256": files, **content, "sha256": sha256}
         _keep_identity(folder, identity, resume)
         tasks = _tasks(spec, folder, count, form)
         records = _kept_records(tasks)
@@ -477,14 +481,6 @@ def _estimate(tasks: Sequence[ShardTask], workers: int, scheduler: str | None) -
     minutes = (count * picture_s + len(tasks) * tank_s) / workers / 60
     where = "one worker's time" if scheduler else f"{workers} at once"
     return f"{count} pictures in {len(tasks)} shards: about {minutes:.2g} minutes, {where}"
-
-
-def _identity(spec: DatasetSpec, count: int, form: Format) -> dict[str, Any]:
-    content = {"lscan": __version__, "count": count, "format": form, **spec.document}
-    text = json.dumps(content, sort_keys=True)
-    # By name for who asks which it was; what they hold is in the scenes' own hashes.
-    files = {Path(file).name: sha256 for file, sha256 in spec.files.items()}
-    return {"files_sha256": files, **content, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def _keep_identity(folder: Path, identity: dict[str, Any], resume: bool) -> None:

@@ -382,8 +382,12 @@ def is_folded(lens: Lens, width_px: int, height_px: int) -> bool:
                 if not (np.abs(step) * lens.focal_px > FOUND_PX).any():
                     break  # most lenses settle in a few
             off_px = np.abs(_distort(lens, found) - part * border) * lens.focal_px
-            least = _least_growth(lens, before + BETWEEN * (found - before))
-            if not (np.all(off_px < FOUND_PX) and np.all(least > 0)):
+            # Neither the Jacobian's determinant nor the growth of the distorted radius may vanish.
+            between = before + BETWEEN * (found - before)
+            by_z, by_conjugate = _derivatives(lens, between)
+            q, radial, slope, _ = _terms(lens, between)
+            grows = (by_z**2 > np.abs(by_conjugate) ** 2) & (radial + 2 * q * slope > 0)
+            if not (np.all(off_px < FOUND_PX) and np.all(grows)):
                 return True
     return False
 
@@ -412,10 +416,3 @@ def _newton_step(lens: Lens, z: Complexes, distorted: Complexes) -> Complexes:
     by_z, by_conjugate = _derivatives(lens, z)
     off = _distort(lens, z) - distorted
     return (by_z * off - by_conjugate * off.conj()) / (by_z**2 - np.abs(by_conjugate) ** 2)
-
-
-def _least_growth(lens: Lens, z: Complexes) -> Floats:
-    """The Jacobian's determinant, or the growth of the distorted radius where that is less."""
-    by_z, by_conjugate = _derivatives(lens, z)
-    q, radial, slope, _ = _terms(lens, z)
-    return np.minimum(by_z**2 - np.abs(by_conjugate) ** 2, radial + 2 * q * slope)

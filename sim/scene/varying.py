@@ -227,16 +227,6 @@ class Change(Strict):
         odds = np.cumsum(self.weights or np.ones(len(values)))
         return values[int(np.searchsorted(odds[:-1] / odds[-1], share, side="right"))]
 
-    def change_number(self, number: float, offset: float) -> float:
-        """The scene's number with an offset added, or where relative, in proportion.
-
-        Parameters
-        ----------
-        number : float, the scene's
-        offset : float, as ``offset`` gives it
-        """
-        return number * (1 + offset) if self.relative else number + offset
-
 
 def check_changes(scene: "Scene") -> None:
     """Refuse a change that puts its number out of range, or that has nothing to change.
@@ -279,5 +269,5 @@ def with_offsets(scene: "Scene", offsets: Iterable[tuple[Change, float]], where:
     numbers: dict[str, float] = {}
     for change, offset in offsets:
         now = numbers.get(change.key, number_at(scene, change.key))
-        numbers[change.key] = change.change_number(now, offset)
+        numbers[change.key] = now * (1 + offset) if change.relative else now + offset
     return with_numbers(scene, numbers, where)

@@ -344,6 +344,7 @@ def render_page(results: StudyResults) -> str:
     plots = [plots_of(budget, results.maps, results.scatters) for budget in results.outputs]
     front = front_plot(results.trials)
     every = [plot for part in plots for plot in part] + ([front] if front else [])
+    data = json.dumps([plot.data for plot in every], allow_nan=False, separators=(",", ":"))
     template = page_template(
         "sim.studies",
         "report.html.j2",
@@ -361,7 +362,7 @@ def render_page(results: StudyResults) -> str:
         varied=_facts_by_name(results.causes),
         failed=sum(results.failures.values()),
         source=json.dumps(results.source, indent=2, ensure_ascii=False, default=str),
-        data=_script_data(every),
+        data=data.replace("<", "\\u003c"),  # no name in it can end the script element
         plotly=get_plotlyjs() if every else "",
         version=__version__,
     )
@@ -513,9 +514,3 @@ def share(value: float | None) -> str:
 def _range(bounded: Bounded) -> str:
     """The 95 % interval of a share, in words."""
     return f"95\u00a0%: {share(bounded.low)} to {share(bounded.high)}"
-
-
-def _script_data(plots: list[StudyPlot]) -> str:
-    """What the page's script draws; no name in it can end the script element."""
-    text = json.dumps([plot.data for plot in plots], allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c")

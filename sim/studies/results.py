@@ -269,17 +269,15 @@ def open_store(folder: Path, identity: StudyIdentity) -> ResultStore:
             for setting in SETTINGS:
                 database.execute(f"PRAGMA {setting}")
             database.execute(TABLE)
-            _forget_damaged(database, file)
+            every = database.execute("SELECT rowid, row, status, numbers, checksum FROM results")
+            damaged = [(n,) for n, *content, checksum in every if _checksum(*content) != checksum]
+            if damaged:  # by a disk that changed them since: they are evaluated again
+                _log.warning(
+                    "%s: %d rows are damaged, and will be evaluated again", file, len(damaged)
+                )
+                with database:
+                    database.executemany("DELETE FROM results WHERE rowid = ?", damaged)
         return ResultStore(folder, identity, database, stack.pop_all())
-
-
-def _forget_damaged(database: sqlite3.Connection, file: Path) -> None:
-    """Drop rows that a disk has changed since: they are evaluated again."""
-    every = database.execute("SELECT rowid, row, status, numbers, checksum FROM results")
-    if damaged := [(n,) for n, *content, checksum in every if _checksum(*content) != checksum]:
-        _log.warning("%s: %d rows are damaged, and will be evaluated again", file, len(damaged))
-        with database:
-            database.executemany("DELETE FROM results WHERE rowid = ?", damaged)
 
 
 def _checksum(row: bytes, status: str, numbers: bytes) -> int:

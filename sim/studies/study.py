@@ -134,12 +134,18 @@ def run_study(
     with ExitStack() as stack:
         running = StudyRunning(study, output, options, packed, stack, progress, say)
         found = _until_known(running, "rendered" if tier == "rendered" else "geometric")
-        rendered = _some_rendered(running, found) if tier == "both" else None
+        rendered = None
+        if tier == "both":  # of a geometric study's rows a part, with its results
+            where = columns(found.outputs)[COUNTED[0]]
+            squares = alone_squares(found.design, found.results.values[:, where])
+            part = rendered_design(found.design, squares, study.file.precision.rendered)
+            source, store = running.begin("rendered", RENDERED_RUNS, part.rows)
+            rendered = part, running.run(source, store, part.rows)
         tolerances = _tolerances(running, found)
         trials = () if problem is None else search_designs(running, problem)
-    results, runs = _results(study, tier, packed, found, rendered, began)
-    results = replace(results, tolerances=tolerances, trials=trials)
-    results = replace(results, seconds=time.monotonic() - began)
+    results, runs = _results(study, tier, packed, found, rendered)
+    seconds = time.monotonic() - began
+    results = replace(results, tolerances=tolerances, trials=trials, seconds=seconds)
     write_results(output, results, runs)
     return results
 
@@ -187,15 +193,6 @@ def _until_known(running: StudyRunning, tier: Tier) -> _TierRuns:
     return _TierRuns(tier, design, results, store, convergence)
 
 
-def _some_rendered(running: StudyRunning, found: _TierRuns) -> tuple[Design, Results]:
-    """The part of a geometric study's rows that is rendered, with its results."""
-    where = columns(found.outputs)[COUNTED[0]]
-    squares = alone_squares(found.design, found.results.values[:, where])
-    part = rendered_design(found.design, squares, running.study.file.precision.rendered)
-    source, store = running.begin("rendered", RENDERED_RUNS, part.rows)
-    return part, running.run(source, store, part.rows)
-
-
 def _design(study: Study, base: int) -> Design:
     file = study.file
     return make_design(study.causes, base, file.precision.alone, file.seed, study.groups)
@@ -232,7 +229,6 @@ def _results(
     packed: bytes,
     found: _TierRuns,
     rendered: tuple[Design, Results] | None,
-    began: float,
 ) -> tuple[StudyResults, StudyRuns]:
     runs = runs_of(study, found.design, found.results, found.outputs)
     indices, every = found.convergence[-1][1], runs
@@ -260,7 +256,7 @@ def _results(
             tier=tier,
             seed=study.file.seed,
             runs=len(every.statuses),
-            seconds=time.monotonic() - began,
+            seconds=0.0,  # told at the end
             causes=runs.causes,
             outputs=budgets,
             failures=dict(Counter(status for status in every.statuses if status != "ok")),

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from lscan.errors import InputError
-from lscan.records import Floats, Mask
+from lscan.records import Floats
 from sim.studies.budget import CauseBudget, OutputBudget, TierRow, Tolerance, Tolerances
 from sim.studies.problem import (
     AGAIN,
@@ -345,7 +345,9 @@ def find_tolerances(
     found = None
     if factors:
         fresh = np.random.default_rng([file.seed, VERIFIED]).random((FRESH, len(file.cause)))
-        found = _share(np.asarray(sizes(factors, fresh) <= bound.most_mm))
+        kept = int(np.sum(sizes(factors, fresh) <= bound.most_mm))
+        wilson = binomtest(kept, FRESH).proportion_ci(CONFIDENCE, method="wilson")
+        found = Bounded(kept / FRESH, float(wilson.low), float(wilson.high))
     return Tolerances(
         output=bound.output,
         most_mm=bound.most_mm,
@@ -437,13 +439,6 @@ def _next(tried: list[tuple[float, float]], most: float) -> float:
     if high == FARTHEST and low < FARTHEST:
         return FARTHEST
     return float(np.sqrt(low * high)) if low > 0 else high / 4
-
-
-def _share(kept: Mask) -> Bounded:
-    """The share of rigs that kept the bound, with Wilson's interval."""
-    test = binomtest(int(kept.sum()), len(kept))
-    interval = test.proportion_ci(CONFIDENCE, method="wilson")
-    return Bounded(float(kept.mean()), float(interval.low), float(interval.high))
 
 
 def _note(bound: Bound, floor: float, factors: Mapping[str, float], allowed: float | None) -> str:

@@ -82,12 +82,12 @@ def test_calls_of_a_process_that_ends_are_made_here(end: str, ready: threading.S
     assert ready.acquire(timeout=STARTED_S)
     found = [ahead.take(*call) for call in CALLS[1:20]]
     if end == "killed":
-        os.kill(ahead._helpers[0].process_id, signal.SIGKILL)
+        os.kill(ahead._helpers[0]._process.pid, signal.SIGKILL)
     found += [ahead.take(*call) for call in CALLS[20:]]
     assert [square for square, _ in found] == [number**2 for (number,) in CALLS[1:]]
     assert len({maker for _, maker in found[:19]}) == 2 or end == "failed"
     ahead.close()
-    assert not is_running(ahead._helpers[0].process_id)
+    assert not is_running(ahead._helpers[0]._process.pid)
 
 
 def test_calls_out_of_order_are_made_all_the_same(ready: threading.Semaphore) -> None:
@@ -139,7 +139,7 @@ def test_closing_leaves_no_process(ready: threading.Semaphore) -> None:
     ahead.close()
     ahead.close()
     assert time.monotonic() - began_s < 20.0  # far less than a call takes
-    assert not any(is_running(helper.process_id) for helper in ahead._helpers)
+    assert not any(is_running(helper._process.pid) for helper in ahead._helpers)
 
 
 SCRIPT = """
@@ -149,7 +149,7 @@ from slow_calls import Squares
 from sim.processes import HelperProcess
 helper = HelperProcess(partial(Squares, 0.0))
 helper.wait()
-print(helper.process_id, helper(7)[0], flush=True)
+print(helper._process.pid, helper(7)[0], flush=True)
 time.sleep(600)
 """
 

@@ -114,7 +114,13 @@ def _line_segments(power: Floats, point: Floats, normal: Floats, off_mm: Floats)
     segments = np.zeros((SEGMENTS, 12))
     if len(runs):
         gone = np.concatenate([[0.0], np.cumsum(weight)])
-        rays = _RaySpans(runs, _cluster_counts(gone[runs[:, 1]] - gone[runs[:, 0]]), gone)
+        lit = gone[runs[:, 1]] - gone[runs[:, 0]]
+        # Each run has one cluster at least, all have CLUSTERS, in proportion to their weights.
+        wanted = (CLUSTERS - len(runs)) * lit / lit.sum()
+        count = np.floor(wanted).astype(int)
+        left = CLUSTERS - len(runs) - count.sum()
+        count[np.argsort(count - wanted, kind="stable")[:left]] += 1
+        rays = _RaySpans(runs, 1 + count, gone)
         sent = np.concatenate([[0.0], np.cumsum(power)])
         low, middle, high = (rays.at(CLUSTER, part) for part in (0.0, 0.5, 1.0))
         chord = rays.of(point, high) - rays.of(point, low)
@@ -149,15 +155,6 @@ def _runs(lit: Mask, point: Floats, normal: Floats) -> tuple[Ints, Floats]:
     between = np.where(cut | ~lit[1:] | ~lit[:-1], 0.0, length + BEND_MM * turn) + 1e-9
     around = np.concatenate([between[:1], between]), np.concatenate([between, between[-1:]])
     return runs[:CLUSTERS], np.where(lit, np.maximum(*around), 0.0)
-
-
-def _cluster_counts(weight: Floats) -> Ints:
-    """Numbers of clusters, one at least each, CLUSTERS in all, in proportion to weights."""
-    wanted = (CLUSTERS - len(weight)) * weight / weight.sum()
-    count = np.floor(wanted).astype(int)
-    left = CLUSTERS - len(weight) - count.sum()
-    count[np.argsort(count - wanted, kind="stable")[:left]] += 1
-    return 1 + count
 
 
 def _clusters(segments: Floats) -> Floats:

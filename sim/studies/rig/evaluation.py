@@ -47,7 +47,7 @@ from sim.studies.rig.states import (
 )
 from sim.studies.studyfile import Study
 from sim.truth import StripeTruth, board_truth
-from sim.truth.camera import TrueCamera, camera_of, image, rays_to
+from sim.truth.camera import camera_of, image, rays_to
 
 # From where points were measured and where they are to the errors that a study looks at.
 
@@ -301,15 +301,11 @@ def seen_together(moments: Sequence[Scene], points_head: Sequence[Floats]) -> Fl
         camera.pose.invert(points) for camera, points in zip(cameras, points_head, strict=True)
     ]
     still = [replace(camera, pose=STILL) for camera in cameras]
-    if all(_same(camera, still[0]) for camera in still):
+    optics = [(camera.lens, camera.port, camera.water_index) for camera in cameras]
+    if all(one == optics[0] for one in optics):
         return image(still[0], rays_to(still[0], np.concatenate(local)).direction)
     pairs = zip(still, local, strict=True)
     return np.concatenate([image(one, rays_to(one, points).direction) for one, points in pairs])
-
-
-def _same(one: TrueCamera, other: TrueCamera) -> bool:
-    optics = [(camera.lens, camera.port, camera.water_index) for camera in (one, other)]
-    return optics[0] == optics[1]
 
 
 # The rendered tier: a rig's errors with every picture rendered, exposed and read.

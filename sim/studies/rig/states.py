@@ -397,7 +397,8 @@ def lit_points(parts: Sequence[PlacesInState]) -> tuple[list[Floats], Floats]:
 def _heights_above(parts: Sequence[PlacesInState]) -> Callable[[Floats], Floats]:
     """``height_above`` of the places of all parts: in one go where they scan the same thing."""
     first = parts[0].scene
-    if all(_same_target(part.scene, first) for part in parts[1:]):
+    scanned = [(p.scene.tank.target, p.scene.tank.floor, p.scene.rig.workpiece) for p in parts]
+    if all(one == scanned[0] for one in scanned[1:]):
         together = joined_places([part.places for part in parts])
         return lambda points: height_above(first, together, points)
     ends = np.cumsum([len(part.position_mm) for part in parts])[:-1]
@@ -407,11 +408,6 @@ def _heights_above(parts: Sequence[PlacesInState]) -> Callable[[Floats], Floats]
             for part, own in zip(parts, np.split(points, ends), strict=True)
         ]
     )
-
-
-def _same_target(one: Scene, other: Scene) -> bool:
-    scanned = [(scene.tank.target, scene.tank.floor, scene.rig.workpiece) for scene in (one, other)]
-    return scanned[0] == scanned[1]
 
 
 def joined_places(several: Sequence[ScanPlaces]) -> ScanPlaces:

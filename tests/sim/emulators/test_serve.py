@@ -158,7 +158,7 @@ def test_a_long_move_is_seen_as_it_goes_on(scene: Scene, monkeypatch: pytest.Mon
     assert len(helpers) == 1 and len(made) > 2
     for helper in helpers:
         with pytest.raises(ProcessLookupError):
-            os.kill(helper.process_id, 0)
+            os.kill(helper._process.pid, 0)
     taken = [shot.head.now_mm for shot in shots]
     assert taken == sorted(taken)
     late = [shot for shot in shots if shot.head.now_mm > 60.0]
