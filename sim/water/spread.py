@@ -95,7 +95,7 @@ def between_nodes(table: Values, *places: Floats) -> Values:
 # Cells of a plane: angle off the beam by azimuth about it, 0 where the plane is farther away.
 PLANE_RINGS_FROM, PLANE_RINGS_TO, PLANE_RINGS, SECTORS = 0.01, 1.4, 24, 8
 GAUSS = 3  # places across a cell's angle, of Gauss and Legendre
-SHAPE = COSINES, DEPTHS, ANGLES, HARMONICS = 5, 6, 10, 3  # of the table
+SHAPE = COSINES, PLANE_DEPTHS, ANGLES, HARMONICS = 5, 6, 10, 3  # of the table
 HORIZON_ANGLES = LogAxis(PLANE_RINGS_FROM, PLANE_RINGS_TO, ANGLES)
 COSINE_AXIS = LogAxis(0.0, 1.0, COSINES, 1.0)
 # Standard deviations a priori: of second differences between nodes, and of the d.
@@ -128,7 +128,7 @@ def horizon_depths(nearest: float, farthest: float) -> LogAxis:
     ----------
     nearest, farthest : float, smallest and largest
     """
-    return LogAxis(nearest, farthest, DEPTHS)
+    return LogAxis(nearest, farthest, PLANE_DEPTHS)
 
 
 def harmonics(cosine: Floats, aside: Floats) -> Floats:
@@ -144,7 +144,7 @@ def harmonics(cosine: Floats, aside: Floats) -> Floats:
 
 
 def fit_planes(counts: PlaneCounts, more: Callable[[Floats, Floats], Complex]) -> Floats:
-    """(COSINES, DEPTHS, ANGLES, HARMONICS) d at the table's nodes.
+    """(COSINES, PLANE_DEPTHS, ANGLES, HARMONICS) d at the table's nodes.
 
     Parameters
     ----------
@@ -490,7 +490,7 @@ class Spread:
     multiple : (DEPTHS, A, 2), of light scattered more often, at the angles of ``ANGLE_AXIS``:
         the logarithm of F_r exp((1 - albedo / 2) depth), and F_t / F_r
     error : (DEPTHS, A) standard error of F_r, over F_r of all scattered light
-    horizon : (COSINES, DEPTHS, ANGLES, HARMONICS) of ``PlaneCounts``
+    horizon : (COSINES, PLANE_DEPTHS, ANGLES, HARMONICS) of ``PlaneCounts``
     """
 
     once: OnceScattered
