@@ -110,7 +110,7 @@ def test_a_lens_is_refused_only_where_its_determinant_vanishes(
     k1: float, k2: float, p1: float, p2: float, centre: tuple[float, float]
 ) -> None:
     """At the focal length where a lens begins to fold, found by halving, the determinant vanishes
-    on the border, or the border's undistorted radius is that at which the radial part turns.
+    on the way to the border, or an undistorted radius is that at which the radial part turns.
 
     At the distance e from a fold a determinant is some 2 sqrt(e), as that of x - x2 is: with
     e = 2e-4, of the border's tangent, 0.03; 0.1 is allowed.  Where ``undistort`` finds nothing,
@@ -123,7 +123,8 @@ def test_a_lens_is_refused_only_where_its_determinant_vanishes(
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if folded(middle, centre, **terms) else (low, middle)
     camera = CameraModel(focal_px=high, centre_px=centre, **terms)
-    tangents = undistort(camera, border(high, centre))
+    ways = np.linspace(0.02, 1.0, 50)[:, None, None] * border(high, centre)
+    tangents = undistort(camera, ways.reshape(-1, 2))
     left = np.minimum(
         determinant(camera, tangents), 1 - np.hypot(*tangents.T) / fold_radius(camera)
     )
