@@ -356,12 +356,16 @@ def _seen_rows(view: LineWindows, rows: Ints) -> tuple[int, int]:
 
     Behind a Bayer filter red and blue are seen in every second row; bilinear demosaicing makes
     the rows between the mean of both beside them.  There second differences are nothing but
-    rounding, and elsewhere those of the line.  rows: of the middle pixels.
+    rounding, and elsewhere those of the line.  rows: of the middle pixels.  Clipped ones, which
+    may have been filled in before, tell nothing.
     """
     grey = view.grey.astype(float)
     square = np.square(grey[:, 2:] - 2 * grey[:, 1:-1] + grey[:, :-2])
     parity = (rows[:, None] + view.steps.astype(int)[1:-1]) % 2
-    bent = [square[view.used[:, 1:-1] & (parity == one)].mean() for one in (0, 1)]
+    whole = view.used & ~view.clipped
+    near = whole[:, 2:] & whole[:, 1:-1] & whole[:, :-2]
+    each = (near & (parity == one) for one in (0, 1))
+    bent = [square[rows].sum() / max(np.count_nonzero(rows), 1) for rows in each]
     filled_in = min(bent) <= _ROUNDED_DN2 and max(bent) >= _UNLIKE_ROWS * _ROUNDED_DN2
     return (2, int(np.argmax(bent))) if filled_in else (1, 0)
 

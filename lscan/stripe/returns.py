@@ -586,8 +586,12 @@ def _rejected_spots(
     faint[spot[speck | weaker]] = True
     if settings.returns == "brightest":
         # What is short and no brighter than a reflection is weaker may be one: the long line that
-        # goes on beneath it does not yield.
+        # goes on beneath it does not yield.  Where two are seen in many other columns too, it is
+        # a part of the brighter one.
+        beside = np.bincount(run[np.append(first, second)], minlength=len(length))
+        paired = len(np.unique(spots.column[first])) - beside[b]
         goes_on = (length[a] > _LONGER * length[b]) & (own >= _WEAKER * other)
+        goes_on &= paired <= _SECOND_LINE * len(np.unique(spots.column))
         yields = (other >= _CLEARLY * own) & ~goes_on
     else:
         yields = np.repeat([settings.returns == "last", settings.returns == "first"], len(first))
