@@ -4,14 +4,14 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr
 
 from lscan.config.plugins import installed
 from lscan.config.rig import StripeSection
-from lscan.records import Bytes, Floats, has_value
+from lscan.records import Bytes, Floats, Stripe, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.peaks import FWHM
 from sim.sensor.webcam import ColourFilter
+from tests.support.lines_drawn import drawn
 from tests.validation.exposures import band_miss_percent, share_inside
 from tests.validation.rows import Row, row
 
@@ -89,23 +89,19 @@ def _exposed_ratios(
     settings = StripeSection(
         extractor=extractor, channel="grey", threshold_dn=15.0, line_width_px=FWHM * width_px
     )
-    found, rows = [], np.arange(EXPOSED_HEIGHT)[:, None]
+    found, rows = list[float](), np.arange(EXPOSED_HEIGHT)[:, None]
     for number in range(places):
         rng = np.random.default_rng([number, round(10 * width_px), round(times)])
         aside_px = np.arange(WIDTH, dtype=float) - WIDTH / 2
         centre = EXPOSED_HEIGHT / 2 + number / places + SLOPE * aside_px
-        light = times * _line(centre, width_px, EXPOSED_HEIGHT)
+        light = times * drawn(centre, width_px, EXPOSED_HEIGHT, LIGHT_DN)
         if speckle:
             light *= rng.gamma(speckle**-2, speckle**2, light.shape)
         aside = (rows - centre - GLOW_ASIDE_PX) / GLOW_PX
         light += glow * times * LIGHT_DN * np.exp(-0.5 * aside**2) + DARK_DN
         picture = np.clip(np.rint(_with_noise(light, NOISE_DN[0], rng)), 0, 255).astype(np.uint8)
         stripe = extract_stripe(picture, settings)
-        part = np.flatnonzero(has_value(stripe.status))
-        part = part[part % EVERY == 0]
-        if len(part) >= WIDTH / EVERY / 2:
-            error, sigma = (stripe.centre_px - centre)[part], stripe.sigma_px[part]
-            found.append(error.sum() / np.sqrt((sigma**2).sum()))
+        found += [mean for mean, _ in _ratios(stripe, centre)]
     return np.array(found)
 
 
@@ -127,32 +123,36 @@ def level_ratios(
     settings = StripeSection(
         extractor=extractor, channel="grey" if colours == MONO else "red", threshold_dn=15.0
     )
-    column = np.arange(WIDTH) - WIDTH / 2
-    found = []
+    column, found = np.arange(WIDTH) - WIDTH / 2, list[tuple[float, float]]()
     for number, phase in enumerate(np.linspace(0.0, 2.0, phases, endpoint=False)):
         rng = np.random.default_rng([number, round(100 * width_px), round(100 * noise_dn)])
         centre = HEIGHT / 2 + phase + SLOPE * column
         stripe = extract_stripe(_picture(centre, width_px, colours, noise_dn, rng), settings)
-        part = np.flatnonzero(has_value(stripe.status))
-        part = part[part % EVERY == 0]
-        if len(part) < WIDTH / EVERY / 2:
-            continue
-        error, sigma = (stripe.centre_px - centre)[part], stripe.sigma_px[part]
-        aside = column[part] - column[part].mean()
-        found.append(
-            (
-                error.sum() / np.sqrt((sigma**2).sum()),
-                (aside @ error) / np.sqrt((aside**2) @ (sigma**2)),
-            )
-        )
+        found += _ratios(stripe, centre)
     return np.array(found).reshape(-1, 2)
+
+
+def _ratios(stripe: Stripe, centre: Floats) -> list[tuple[float, float]]:
+    """The errors of one line's mean and slope; none where most columns have no value."""
+    part = np.flatnonzero(has_value(stripe.status))
+    part = part[part % EVERY == 0]
+    if len(part) < WIDTH / EVERY / 2:
+        return []
+    error, sigma = (stripe.centre_px - centre)[part], stripe.sigma_px[part]
+    aside = part - part.mean()
+    return [
+        (
+            float(error.sum() / np.sqrt((sigma**2).sum())),
+            float((aside @ error) / np.sqrt(aside**2 @ sigma**2)),
+        )
+    ]
 
 
 def _picture(
     centre: Floats, width_px: float, colours: str, noise_dn: float, rng: np.random.Generator
 ) -> Bytes:
     """A red line on the dark, as a camera has it."""
-    light = _line(centre, width_px, HEIGHT)
+    light = drawn(centre, width_px, HEIGHT, LIGHT_DN)
     if colours == MONO:
         grey = _with_noise(light + DARK_DN, noise_dn, rng)
     else:
@@ -161,13 +161,6 @@ def _picture(
         noisy = _with_noise(seen.astype(float), noise_dn, rng)
         grey = sensor.demosaic(noisy.astype(np.float32)).astype(float)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-
-
-def _line(centre: Floats, width_px: float, height: int) -> Floats:
-    """(height, W) DN, each pixel the integral of the light over it."""
-    edges = np.arange(height + 1)[:, None] - 0.5
-    line = np.diff(ndtr((edges - centre) / width_px), axis=0)
-    return np.asarray(LIGHT_DN * width_px * np.sqrt(2 * np.pi) * line)
 
 
 def _with_noise(light: Floats, noise_dn: float, rng: np.random.Generator) -> Floats:
