@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.records import Ints, Mask
+from lscan.records import Floats, Ints, Mask
 from sim.render.layers import binned
 from sim.render.plugins.arrays import floats, indices, opaque_vector
 from sim.render.plugins.camera import RefractiveCamera
@@ -25,6 +25,7 @@ from sim.scene import Head, Pose, Scene, camera_pose
 # There is a margin of one pixel, so that every pixel of the picture has neighbours.
 
 
+Picture = NDArray[np.float32]
 HEAD = Pose(np.eye(3), np.zeros(3))  # the head's frame itself
 # Places at which the light scattered into a ray is summed, at equal shares of the Gaussian that
 # it nearly is along the ray: what makes it differ from one changes by 1e-3 over its width.
@@ -59,6 +60,10 @@ class HeadFrame:
         return mi.Point3f(self._origin + x * place.x + y * place.y + z * place.z)
 
 
+# Multiples of these, less their whole parts, fill a square evenly however many they are: powers of
+# the root of x³ = x + 1, inverted (Roberts 2018, "The unreasonable effectiveness of quasirandom
+# sequences").
+PUPIL_STEPS = 0.7548776662, 0.5698402910
 # Standard deviations of the sheet: farther from its middle there is 4e-6 of the light there.
 END = 5.0
 
@@ -80,13 +85,77 @@ class OpenVeil:
     radiance: mi.Float
 
 
+PARTS = 8  # of a pixel's side, by which a disc's share of it is known
+LATTICE = 9  # places a side of the picture at which it is known how rays through the pupil part
+RIM = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+
+
+@dataclass(frozen=True)
+class Defocus:
+    """Rays of some pixels through the pupil's middle, of their neighbours, and through its rim.
+
+    All are (N, 3), origins in mm and unit directions, in the head's frame.
+    """
+
+    middle: tuple[Floats, Floats]
+    neighbours: tuple[tuple[Floats, Floats], ...]
+    rim: tuple[tuple[Floats, Floats], ...]
+
+    @classmethod
+    def of(cls, camera: RefractiveCamera, size_px: tuple[int, int]) -> "Defocus":
+        """That of a camera placed in the head's frame, with a picture of (width, height)."""
+        u, v = (
+            mi.Float(axis.ravel().tolist())
+            for axis in np.meshgrid(*[(np.arange(LATTICE) + 0.5) / LATTICE] * 2)
+        )
+
+        def rays(place: mi.Point2f, pupil: mi.Point2f | None = None) -> tuple[Floats, Floats]:
+            ray, _ = camera.ray_through(place, pupil)
+            return np.array(ray.o, dtype=float).T, np.array(ray.d, dtype=float).T
+
+        right, down = mi.Point2f(u + 1 / size_px[0], v), mi.Point2f(u, v + 1 / size_px[1])
+        here = mi.Point2f(u, v)
+        rim = tuple(rays(here, mi.Point2f(*place)) for place in RIM)
+        return cls(rays(here), (rays(right), rays(down)), rim)
+
+    def radius_px(self, distances_mm: Floats) -> float:
+        """Radius of the disc over which light from anywhere between some distances is spread, px.
+
+        With distance the blur goes down to its focus and up again: it is largest at an end.
+        """
+        if distances_mm.size == 0:
+            return 0.0
+        radii = []
+        for distance in (distances_mm.min(), distances_mm.max()):
+            pixel = np.min([self._apart(ray, distance) for ray in self.neighbours], axis=0)
+            radii += [self._apart(ray, distance) / pixel for ray in self.rim]
+        return float(np.max(radii))
+
+    def blurred(self, light: Picture, distance_mm: float) -> Picture:
+        """Light, (H, W), as that from some distance is blurred."""
+        radius = self.radius_px(np.array([distance_mm]))
+        reach = int(np.ceil(radius))
+        fine = (np.arange((2 * reach + 1) * PARTS) + 0.5) / PARTS - reach - 0.5
+        disc = (np.hypot(*np.meshgrid(fine, fine)) <= max(radius, 0.5)).astype(np.float32)
+        disc = cv2.resize(disc, (2 * reach + 1, 2 * reach + 1), interpolation=cv2.INTER_AREA)
+        border = cv2.BORDER_REPLICATE
+        return np.asarray(cv2.filter2D(light, -1, disc / disc.sum(), borderType=border), np.float32)
+
+    def _apart(self, ray: tuple[Floats, Floats], distance: float) -> Floats:
+        """(N,) mm between other rays and the middle ones, across these, so far along them."""
+        start, way = self.middle
+        aside = ray[0] - start - distance * way
+        across = np.sum(aside * way, axis=1) / np.sum(ray[1] * way, axis=1)
+        return np.asarray(np.linalg.norm(aside - across[:, np.newaxis] * ray[1], axis=1))
+
+
 @dataclass(frozen=True)
 class HeadRays:
     """A ray in the water for each pixel's centre, row by row, and for those around the picture.
 
     size_px: (width, height) with that margin.  origin: mm.  direction: unit.  weight: the
     camera's.  veils: one for each sheet.  pixel_rad: the angle between two neighbours in the
-    middle of the picture.
+    middle of the picture.  defocus: None where everything is sharp.
     """
 
     size_px: tuple[int, int]
@@ -95,6 +164,7 @@ class HeadRays:
     weight: mi.Float
     veils: tuple[OpenVeil, ...]
     pixel_rad: float
+    defocus: Defocus | None = None
 
     def seen_from(self, head: Pose) -> mi.Ray3f:
         """The rays in the world."""
@@ -131,12 +201,23 @@ def head_rays(
     pair = dr.gather(mi.Vector3f, ray.d, mi.UInt32(middle, middle + 1))
     first, second = np.array(pair).T
     pixel_rad = float(np.linalg.norm(first - second))
-    return HeadRays(wider, ray.o, ray.d, weight, veils, pixel_rad)
+    defocus = Defocus.of(camera, size_px) if camera.lens_is_open else None
+    return HeadRays(wider, ray.o, ray.d, weight, veils, pixel_rad, defocus)
 
 
-def film_rays(camera: RefractiveCamera, place: mi.Point2f) -> tuple[mi.Ray3f, mi.Float]:
-    """The camera's rays through places of its film, 0 to 1 along each side, and their weights."""
-    ray, weight = camera.sample_ray(mi.Float(0.5), mi.Float(0), place, mi.Point2f(0.5))
+def film_rays(
+    camera: RefractiveCamera, place: mi.Point2f, sample: mi.UInt32 | None = None
+) -> tuple[mi.Ray3f, mi.Float]:
+    """The camera's rays through places of its film, 0 to 1 along each side, and their weights.
+
+    sample: each ray's number among those of its pixel, through points spread over the pupil; all
+    through its middle if None.
+    """
+    pupil = None
+    if sample is not None and camera.lens_is_open:
+        spread = mi.Point2f(*(mi.Float(sample) * step for step in PUPIL_STEPS))
+        pupil = camera.pupil_point(place, spread - dr.floor(spread))
+    ray, weight = camera.ray_through(place, pupil)
     return ray, weight.x
 
 
@@ -310,7 +391,6 @@ def _uneven(states: NDArray[np.uint8]) -> Mask:
 # Laser light of the first order: even pixels from one ray each, only the others sampled.
 
 
-Picture = NDArray[np.float32]
 GOLDEN = (sqrt(5) - 1) / 2
 # Samples a side of a pixel at an edge, over those elsewhere; an edge matters where a pixel around
 # it has more than FAINT of the brightest one's light.  With 9 samples everywhere the paper's groove
@@ -334,8 +414,6 @@ def reason_for_samples(scene: Scene) -> str:
     """Why every pixel of the scene needs samples; "" where they do not."""
     if scene.tank.head.speed_mm_s != 0:
         return "head.speed_mm_s: the head moves while a picture is taken"
-    if scene.tank.lens.focus_mm is not None:
-        return "lens.focus_mm: what is out of focus is blurred"
     if len(scene.tank.laser.sheets) > MOST_SHEETS:
         return f"laser.lines: more than {MOST_SHEETS}"
     return ""
@@ -381,6 +459,8 @@ class SparseLaserLight:
         direct = np.zeros((fineness * height, fineness * width), np.float32)
         reaches = tuple(sheet_reach(self._scene, sheet) for sheet in self._integrator.sheets)
         seen = survey(self._scene, self.rays, head, reaches)
+        if self.rays.defocus is not None and seen.uneven.size:
+            seen = replace(seen, uneven=self._spread(seen, self.rays.defocus))
         layers = direct, seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
         if seen.uneven.size:
             side = isqrt(samples)
@@ -389,6 +469,19 @@ class SparseLaserLight:
             if edges.size:
                 self._put_samples(layers, edges, FINER * side)
         return FirstOrder(*layers, seen)
+
+    def _spread(self, seen: PixelSurvey, defocus: Defocus) -> Ints:
+        """Indices of the pixels into which an uneven one's light is spread out of focus."""
+        width, height = self._size_px
+        shape = self.rays.size_px[::-1]
+        ends = [np.array(seen.hit.t), *(np.array(veil.crossing) for veil in self.rays.veils)]
+        far = np.stack([end.reshape(shape)[1:-1, 1:-1].ravel()[seen.uneven] for end in ends])
+        # What crosses the sheet behind a surface sends no light from there.
+        far = np.minimum(far, far[0])
+        radius = defocus.radius_px(far[(far > 0) & (far < FARTHEST_MM)])
+        mask = np.zeros(height * width, np.uint8)
+        mask[seen.uneven] = 1
+        return np.flatnonzero(_grown(mask.reshape(height, width), radius))
 
     def _put_samples(self, layers: tuple[Picture, Picture], pixels: Ints, side: int) -> Picture:
         """Sample pixels, put their light into the layers; (N,) share of each without any."""
@@ -418,7 +511,7 @@ class SparseLaserLight:
         """
         count, fineness = side**2, self._fineness
         place, sample = sample_places(pixels, self._size_px, side)
-        ray, weight = film_rays(self._camera, place)
+        ray, weight = film_rays(self._camera, place, sample)
         leg = Leg(self._scene, None, ray, self._scene.ray_intersect(ray), mi.Bool(True))
         quantile = (mi.Float((sample * _stride(count)) % count) + 0.5) / count
         direct, scattered = mi.Float(0), mi.Float(0)
@@ -431,6 +524,13 @@ class SparseLaserLight:
         share = side // fineness
         shape = (len(pixels), fineness, share, fineness, share)
         return [np.array(layer).reshape(shape).mean(axis=(2, 4)) for layer in layers]
+
+
+def _grown(mask: NDArray[np.uint8], radius_px: float) -> NDArray[np.uint8]:
+    """A mask grown by a disc."""
+    pixels = int(np.ceil(radius_px))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pixels + 1, 2 * pixels + 1))
+    return np.asarray(cv2.dilate(mask, disc), np.uint8)
 
 
 def _stride(count: int) -> int:
@@ -466,12 +566,15 @@ def ambient_picture(
     head : Pose, where the camera is placed
     samples : int, of an uneven pixel, a square number in each of its parts
     """
-    centre = _light(scene, integrator, rays.seen_from(head), rays.weight)
-    dr.eval(centre)
+    centre, distance = _light(scene, integrator, rays.seen_from(head), rays.weight)
+    dr.eval(centre, distance)
     wide = np.array(centre).reshape(rays.size_px[::-1])
     across, along = (cv2.Sobel(wide, cv2.CV_32F, *order, ksize=1) for order in ((2, 0), (0, 2)))
     edges = (cv2.max(np.abs(across), np.abs(along)) > EVEN * wide).astype(np.uint8)
     inner = np.s_[1:-1, 1:-1]
+    if rays.defocus is not None:
+        far = np.array(distance).reshape(edges.shape)[edges > 0]
+        edges = _grown(edges, rays.defocus.radius_px(far[far < FARTHEST_MM]))
     uneven = np.flatnonzero(cv2.dilate(edges, NEIGHBOURS)[inner])
     picture, fineness = np.ascontiguousarray(wide[inner]), camera.fineness
     height, width = picture.shape
@@ -494,8 +597,8 @@ def _sampled(
 ) -> Picture:
     """(N, f, f) means in the parts of pixels over a regular grid of samples."""
     side, fineness = isqrt(samples), camera.fineness
-    place, _ = sample_places(pixels, size_px, side)
-    light = _light(scene, integrator, *film_rays(camera, place))
+    place, sample = sample_places(pixels, size_px, side)
+    light, _ = _light(scene, integrator, *film_rays(camera, place, sample))
     share = side // fineness
     shape = (len(pixels), fineness, share, fineness, share)
     return np.array(light).reshape(shape).mean(axis=(2, 4))
@@ -503,7 +606,8 @@ def _sampled(
 
 def _light(
     scene: mi.Scene, integrator: SheetIntegrator, ray: mi.Ray3f, weight: mi.Float
-) -> mi.Float:
+) -> tuple[mi.Float, mi.Float]:
+    """Ambient light along rays, the camera's weight included, and mm to what they meet."""
     met = scene.ray_intersect(ray, mi.RayFlags.All, coherent=True)
     leg = Leg(scene, None, ray, met, mi.Bool(True))
-    return integrator.ambient(leg) * weight
+    return integrator.ambient(leg) * weight, met.t

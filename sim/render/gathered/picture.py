@@ -198,6 +198,11 @@ class GatheredLight:
         line = self._line_in_view(head)
         lines = [_splat(grid, self._chart, *line) for grid in self._grids]
         glow, tilt, cells = self._surfaces(head, direct, seen, lines)
+        if self._rays.defocus is not None and direct.any():
+            # The line is out of focus as it comes, and what the water about it scatters with it.
+            far = np.array(seen.hit.t).reshape(self._rays.size_px[::-1])[1:-1, 1:-1]
+            far = np.minimum(far, np.float32(FARTHEST_MM))
+            glow = self._rays.defocus.blurred(glow, float(np.average(far, weights=direct)))
         return self._picture_layers(direct, glow, tilt, cells, seen, self._shares_left(position_mm))
 
     def _shares_left(self, position_mm: float) -> list[Picture]:

@@ -268,24 +268,45 @@ class RefractiveCamera(mi.Sensor):
         aperture_sample : Point2f, place in the entrance pupil, 0 to 1 along each side
         active : Bool, which of the rays are wanted
         """
-        film = self.film()
-        # The one place where Mitsuba's film convention meets ours: the sample spans [0, 1]
-        # of the film's crop window from edge to edge, our pixel (0, 0) is the centre of the
-        # top-left one of the whole picture.
-        place = position_sample * mi.Vector2f(film.crop_size()) + mi.Vector2f(film.crop_offset())
+        pupil = self.pupil_point(position_sample, aperture_sample) if self.lens_is_open else None
+        ray, weight = self.ray_through(position_sample, pupil)
+        if self.is_moving:
+            ray.time = self._time(self._place(position_sample), time)
+            ray.o += self.velocity * ray.time
+        return ray, weight
+
+    def ray_through(
+        self, position_sample: mi.Point2f, pupil: mi.Point2f | None = None
+    ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        """A ray as of ``sample_ray``, at time 0, through a given point of the entrance pupil.
+
+        Parameters
+        ----------
+        position_sample : Point2f, place in the picture, 0 to 1 along each side
+        pupil : Point2f or None, in radii of the pupil from its middle; that if None
+        """
+        place = self._place(position_sample)
         u, v = place.x - 0.5, place.y - 0.5
         x, y = self._undistort((u - self.cx) / self.focal, (v - self.cy) / self.focal)
-        crossing = self.port.cross(*self._in_air(x, y, place, aperture_sample))
+        crossing = self.port.cross(*self._in_air(x, y, pupil))
 
         ray = dr.zeros(mi.Ray3f)
         ray.o = self.origin + self._to_world(crossing.point)
         ray.d = dr.normalize(self._to_world(crossing.direction))
         ray.maxt = dr.largest(mi.Float)
         ray.wavelengths = []
-        if self.is_moving:
-            ray.time = self._time(place, time)
-            ray.o += self.velocity * ray.time
         return ray, mi.Spectrum(crossing.weight)
+
+    def pupil_point(self, position_sample: mi.Point2f, aperture_sample: mi.Point2f) -> mi.Point2f:
+        """Point of the pupil, in its radii from its middle, of a sample moved round by pixel.
+
+        Parameters
+        ----------
+        position_sample, aperture_sample : Point2f, as of ``sample_ray``
+        """
+        place, sample = self._place(position_sample), aperture_sample
+        moved = (self._shift(value, place, k) for k, value in enumerate((sample.x, sample.y)))
+        return mi.Point2f(mi.warp.square_to_uniform_disk_concentric(mi.Point2f(*moved)))
 
     def sample_ray_differential(
         self,
@@ -310,8 +331,18 @@ class RefractiveCamera(mi.Sensor):
         """An empty box: the camera adds nothing to the scene's extent."""
         return mi.ScalarBoundingBox3f()
 
+    def _place(self, position_sample: mi.Point2f) -> mi.Point2f:
+        """Place in the whole film, px from its top left edge.
+
+        The one place where Mitsuba's film convention meets ours: the sample spans [0, 1] of the
+        film's crop window from edge to edge, our pixel (0, 0) is the centre of the top-left one of
+        the whole picture.
+        """
+        film = self.film()
+        return position_sample * mi.Vector2f(film.crop_size()) + mi.Vector2f(film.crop_offset())
+
     def _in_air(
-        self, x: mi.Float, y: mi.Float, place: mi.Point2f, aperture_sample: mi.Point2f
+        self, x: mi.Float, y: mi.Float, pupil: mi.Point2f | None
     ) -> tuple[mi.Point3f, mi.Vector3f]:
         """Start and unit direction in the air, camera frame, of the ray at tangents (x, y).
 
@@ -319,13 +350,9 @@ class RefractiveCamera(mi.Sensor):
         middle meets the plane of focus.
         """
         through_middle = mi.Vector3f(x, y, 1.0)
-        if not self.lens_is_open:
+        if pupil is None:
             return mi.Point3f(0.0), dr.normalize(through_middle)
-        sample = mi.Point2f(
-            self._shift(aperture_sample.x, place, 0), self._shift(aperture_sample.y, place, 1)
-        )
-        disc = mi.warp.square_to_uniform_disk_concentric(sample) * self.pupil_radius
-        start = mi.Point3f(disc.x, disc.y, 0.0)
+        start = mi.Point3f(pupil.x * self.pupil_radius, pupil.y * self.pupil_radius, 0.0)
         return start, dr.normalize(through_middle * self.focus - mi.Vector3f(start))
 
     def _time(self, place: mi.Point2f, shutter_sample: mi.Float) -> mi.Float:

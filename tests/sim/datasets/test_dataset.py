@@ -72,15 +72,22 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made(tmp_path_factory.mktemp("dataset"), "alone")
 
 
-@pytest.mark.parametrize("turn", [0.0, 25.0])
-def test_depth_and_normals_are_those_of_a_plane(turn: float) -> None:
+@pytest.mark.parametrize(
+    ("turn", "lens", "fineness"),
+    [(0.0, {}, 1), (25.0, {}, 1), (0.0, {"focus_mm": 300.0, "f_number": 1.0}, 2)],
+)
+def test_depth_and_normals_are_those_of_a_plane(
+    turn: float, lens: dict[str, float], fineness: int
+) -> None:
     """The floor, z = -100 mm: a pixel's point is on it, is seen there, and has its normal.
 
     Rays are in single precision: 24 bits of a metre are 6e-5 mm, ten operations of them and the
     slant of the ray (1.5 at most) 1e-3 mm, which at 85 px and 900 mm is 1e-4 px.  The camera's
     inversion of a flat port is iterated to 1e-3 px of such a picture.
     """
-    scene = tank(**merge(SMALL, {"head": {"turn_deg": [0.0, 0.0, turn], "depression_deg": 40.0}}))
+    head = {"turn_deg": [0.0, 0.0, turn], "depression_deg": 40.0}
+    render = {"fineness": fineness, "samples": 4}
+    scene = tank(**merge(SMALL, {"head": head, "lens": lens, "render": render}))
     found = surfaces_seen(Tank(scene), 3.0)
     head = scene.tank.head
     camera = camera_pose(head)

@@ -10,6 +10,7 @@ from places import SCENES
 
 from lscan.errors import InputError
 from lscan.records import Floats
+from sim.render.firstorder import Defocus
 from sim.render.plugins.arrays import floats
 from sim.render.plugins.camera import RefractiveCamera
 from sim.scene import Head, Lens, PlanePort, Port, Pose, Scene, camera_pose, load_scene
@@ -211,6 +212,25 @@ def test_the_circle_of_confusion_is_the_thin_lenss(
     if expected > 1:
         relative = (radius / expected) ** 2
         assert relative.mean() == pytest.approx(0.5, abs=5 / np.sqrt(12 * count) + 4e-3 / expected)
+
+
+@pytest.mark.parametrize(
+    ("aperture", "focus", "distances"),
+    [(8.0, 300.0, (200.0, 2500.0)), (3.0, 900.0, (950.0,)), (24.0, 1000.0, (400.0, 990.0))],
+)
+def test_defocus_is_known_from_the_rays(
+    aperture: float, focus: float, distances: tuple[float, ...]
+) -> None:
+    """The thin lens's circle, as above, at the corner's depth or on the axis, behind the port."""
+    camera = lens_in_air(aperture, focus)
+    found = Defocus.of(camera, (WIDTH, HEIGHT)).radius_px(np.array(distances))
+    corner = np.hypot(WIDTH, HEIGHT) / 2 / 850
+    port = PlanePort(gap_mm=40.0)
+    behind = np.outer(distances, [1, 1 / np.hypot(1, corner)])
+    depths = port.gap_mm + port.thickness_mm + behind
+    circles = aperture * 850 * np.abs(1 / focus - 1 / depths) / 2
+    assert circles.max(axis=0).min() - 1e-3 <= found
+    assert found <= circles.max() * np.hypot(1, corner) + 1e-3  # seen aslant, it is taken as larger
 
 
 def edge_spread(camera: RefractiveCamera, distance_mm: float, samples: int) -> Floats:
