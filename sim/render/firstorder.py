@@ -135,11 +135,12 @@ class Defocus:
         """Light, (H, W), as that from some distance is blurred."""
         radius = self.radius_px(np.array([distance_mm]))
         reach = int(np.ceil(radius))
-        fine = (np.arange((2 * reach + 1) * PARTS) + 0.5) / PARTS - reach - 0.5
-        disc = (np.hypot(*np.meshgrid(fine, fine)) <= max(radius, 0.5)).astype(np.float32)
-        disc = cv2.resize(disc, (2 * reach + 1, 2 * reach + 1), interpolation=cv2.INTER_AREA)
+        side = 2 * reach + 1
+        fine = (np.arange(side * PARTS) + 0.5) / PARTS - reach - 0.5
+        inside = np.hypot(*np.meshgrid(fine, fine)) <= max(radius, 0.5)
+        disc = inside.reshape(side, PARTS, side, PARTS).mean(axis=(1, 3)) / inside.mean() / side**2
         border = cv2.BORDER_REPLICATE
-        return np.asarray(cv2.filter2D(light, -1, disc / disc.sum(), borderType=border), np.float32)
+        return np.asarray(cv2.filter2D(light, -1, disc, borderType=border), np.float32)
 
     def _apart(self, ray: tuple[Floats, Floats], distance: float) -> Floats:
         """(N,) mm between other rays and the middle ones, across these, so far along them."""
@@ -450,24 +451,25 @@ class SparseLaserLight:
         assert self._rays is not None, "look() comes first"
         return self._rays
 
-    def picture(self, head: Pose, samples: int) -> FirstOrder:
+    def picture(self, head: Pose, samples: int, sharp: bool = False) -> FirstOrder:
         """The light of a picture, (f H, f W) of the scene's fineness f.
 
-        head: where camera and sheets are placed.  samples: a pixel, where it needs them.
+        head: where camera and sheets are placed.  samples: a pixel, where it needs them.  sharp: as
+        through the pupil's middle alone.
         """
         (width, height), fineness = self._size_px, self._fineness
         direct = np.zeros((fineness * height, fineness * width), np.float32)
         reaches = tuple(sheet_reach(self._scene, sheet) for sheet in self._integrator.sheets)
         seen = survey(self._scene, self.rays, head, reaches)
-        if self.rays.defocus is not None and seen.uneven.size:
+        if self.rays.defocus is not None and seen.uneven.size and not sharp:
             seen = replace(seen, uneven=self._spread(seen, self.rays.defocus))
         layers = direct, seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
         if seen.uneven.size:
             side = isqrt(samples)
-            dark = self._put_samples(layers, seen.uneven, side)
+            dark = self._put_samples(layers, seen.uneven, side, sharp)
             edges = self._edges(seen, direct, dark)
             if edges.size:
-                self._put_samples(layers, edges, FINER * side)
+                self._put_samples(layers, edges, FINER * side, sharp)
         return FirstOrder(*layers, seen)
 
     def _spread(self, seen: PixelSurvey, defocus: Defocus) -> Ints:
@@ -483,11 +485,13 @@ class SparseLaserLight:
         mask[seen.uneven] = 1
         return np.flatnonzero(_grown(mask.reshape(height, width), radius))
 
-    def _put_samples(self, layers: tuple[Picture, Picture], pixels: Ints, side: int) -> Picture:
+    def _put_samples(
+        self, layers: tuple[Picture, Picture], pixels: Ints, side: int, sharp: bool
+    ) -> Picture:
         """Sample pixels, put their light into the layers; (N,) share of each without any."""
         (width, height), fineness = self._size_px, self._fineness
         row, column = np.divmod(pixels, width)
-        *means, dark = self._sampled(pixels, side)
+        *means, dark = self._sampled(pixels, side, sharp)
         for layer, mean in zip(layers, means, strict=True):
             layer.reshape(height, fineness, width, fineness)[row, :, column, :] = mean
         return dark.mean(axis=(1, 2))
@@ -502,7 +506,7 @@ class SparseLaserLight:
         edge = (light > FAINT * light.max()) & (seen.bent | (near[0] & near[1]))
         return seen.uneven[edge.ravel()[seen.uneven]]
 
-    def _sampled(self, pixels: Ints, side: int) -> list[Picture]:
+    def _sampled(self, pixels: Ints, side: int, sharp: bool) -> list[Picture]:
         """In the parts of the pixels, (N, f, f), of side x side samples a pixel: both layers, and
         the share of the samples without direct light.
 
@@ -511,7 +515,7 @@ class SparseLaserLight:
         """
         count, fineness = side**2, self._fineness
         place, sample = sample_places(pixels, self._size_px, side)
-        ray, weight = film_rays(self._camera, place, sample)
+        ray, weight = film_rays(self._camera, place, None if sharp else sample)
         leg = Leg(self._scene, None, ray, self._scene.ray_intersect(ray), mi.Bool(True))
         quantile = (mi.Float((sample * _stride(count)) % count) + 0.5) / count
         direct, scattered = mi.Float(0), mi.Float(0)

@@ -284,7 +284,7 @@ class Tank:
         samples = self.scene.tank.render.samples if samples is None else samples
         self.place(position_mm)
         head = head_pose(self.scene.tank.head, position_mm)
-        first = self._sparse.picture(head, samples)
+        first = self._sparse.picture(head, samples, sharp=True)
         head = self._camera_with(head)
         families = self._gathered.families(head, position_mm, first.direct, first.seen)
         return {name: light * W_PER_M2_IN_MW_PER_MM2 for name, light in families.items()}
@@ -305,8 +305,10 @@ class Tank:
             laser = self._sparse.picture(head, samples)
             direct, scattered = laser.direct, laser.scattered
             if gathered and self._gathered is not None:
-                there = self._camera_with(head)
-                families = self._gathered.families(there, position_mm, direct, laser.seen)
+                there, sharp = self._camera_with(head), laser
+                if self._sparse.rays.defocus is not None:
+                    sharp = self._sparse.picture(head, samples, sharp=True)
+                families = self._gathered.families(there, position_mm, sharp.direct, sharp.seen)
                 more = sum(families.values(), np.zeros((), np.float32))
                 scattered = scattered + more.repeat(fineness, axis=0).repeat(fineness, axis=1)
         else:

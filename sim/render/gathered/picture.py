@@ -191,19 +191,21 @@ class GatheredLight:
         ----------
         head : Pose, where the sheets are placed
         position_mm : float, mm along the track, about where the head is
-        direct : (f H, f W) the line as the camera sees it, of any fineness f
+        direct : (f H, f W) the line as the camera sees it, sharp, of any fineness f
         seen : PixelSurvey, of the picture
         """
         direct = binned(direct, direct.shape[0] // self._inner.shape[0])
         line = self._line_in_view(head)
         lines = [_splat(grid, self._chart, *line) for grid in self._grids]
         glow, tilt, cells = self._surfaces(head, direct, seen, lines)
-        if self._rays.defocus is not None and direct.any():
-            # The line is out of focus as it comes, and what the water about it scatters with it.
-            far = np.array(seen.hit.t).reshape(self._rays.size_px[::-1])[1:-1, 1:-1]
-            far = np.minimum(far, np.float32(FARTHEST_MM))
-            glow = self._rays.defocus.blurred(glow, float(np.average(far, weights=direct)))
-        return self._picture_layers(direct, glow, tilt, cells, seen, self._shares_left(position_mm))
+        left = self._shares_left(position_mm)
+        layers = self._picture_layers(direct, glow, tilt, cells, seen, left)
+        if (defocus := self._rays.defocus) is None or not direct.any():
+            return layers
+        # It is brightest about the line, where the line's blur is its own.
+        far = np.array(seen.hit.t).reshape(self._rays.size_px[::-1])[1:-1, 1:-1]
+        far_mm = float(np.average(np.minimum(far, FARTHEST_MM), weights=direct))
+        return {name: defocus.blurred(light, far_mm) for name, light in layers.items()}
 
     def _shares_left(self, position_mm: float) -> list[Picture]:
         """What surfaces leave of the halo and of each sheet's veil, between known places."""

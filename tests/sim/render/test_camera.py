@@ -233,6 +233,21 @@ def test_defocus_is_known_from_the_rays(
     assert found <= circles.max() * np.hypot(1, corner) + 1e-3  # seen aslant, it is taken as larger
 
 
+def test_light_is_blurred_over_a_disc() -> None:
+    """Of radius r, and of variance r² / 4 along either axis; an eighth of a pixel is seen of it."""
+    defocus = Defocus.of(lens_in_air(24.0, 1000.0), (WIDTH, HEIGHT))
+    radius = defocus.radius_px(np.array([600.0]))
+    light = np.zeros((61, 61), np.float32)
+    light[30, 30] = 1.0
+    blurred = defocus.blurred(light, 600.0)
+    v, u = np.indices(light.shape) - 30
+    assert radius > 3 and blurred.sum() == pytest.approx(1, rel=1e-5)
+    for axis in (u, v):
+        assert (blurred * axis**2).sum() == pytest.approx(
+            radius**2 / 4 + 1 / 12, rel=1 / 8 / radius
+        )
+
+
 def edge_spread(camera: RefractiveCamera, distance_mm: float, samples: int) -> Floats:
     """(W,) mean over the rows of a picture of a luminous half plane x > 0 at a distance."""
     half_plane = {
