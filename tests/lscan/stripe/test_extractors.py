@@ -233,7 +233,7 @@ def test_a_search_that_begins_far_below_a_clipped_crest_comes_back(far_dn):
     view = LineWindows(steps, grey, np.array([20.0]), grey >= 0, grey >= 255)
     start = true - [[0.0, 0.0, 0.0, far_dn, 0.0]]
     prior = LinePrior(true, np.full((1, 5), 1e-6))
-    (fit,) = fit_lines([LineSearch(view, start, Noise(1 / 12, 0.0), prior)])
+    fit = fit_lines(LineSearch(view, start, Noise(1 / 12, 0.0), prior))
     assert fit.settled.all()
     # Rounding is all the noise there is: three of its standard uncertainties.
     assert abs(fit.parameters[0, 0] - 0.3) <= 3 * np.sqrt(fit.covariance[0, 0, 0])

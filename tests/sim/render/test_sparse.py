@@ -183,16 +183,17 @@ def test_edges_out_of_focus_are_those_of_samples_everywhere(tmp_path: Path) -> N
         laser={"on": False},
     )
     scene = sharp.with_tank(lens={"focus_mm": 60.0, "f_number": 0.5})
+    samples = 144
     few, many, edge = (
-        Tank(one, sampled=sampled).render(0.0, samples, scatter_samples=0).ambient
-        for one, sampled, samples in (
-            (scene, False, SAMPLES), (scene, True, MANY), (sharp, False, SAMPLES)
+        Tank(one, sampled=sampled).render(0.0, count, scatter_samples=0).ambient
+        for one, sampled, count in (
+            (scene, False, samples), (scene, True, MANY), (sharp, False, samples)
         )
     )  # fmt: skip
     contrast = np.ptp(many)
     assert contrast > 0.05 * many.max()
     blurred = np.abs(many - edge) > 0.1 * contrast
-    assert np.sqrt(np.mean((few - many)[blurred] ** 2)) < contrast / 2 / np.sqrt(SAMPLES)
+    assert np.sqrt(np.mean((few - many)[blurred] ** 2)) < contrast / 2 / np.sqrt(samples)
     assert np.sqrt(np.mean((few - many)[~blurred] ** 2)) < EVEN * many.max()
 
 
