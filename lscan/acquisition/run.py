@@ -34,8 +34,7 @@ from lscan.config.rig import Plan, Rig, RigFile, parse_rig
 from lscan.devices.api import LASER_MAY_BE_LIT, Camera, Identified
 from lscan.errors import DeviceError, InputError, LscanError
 from lscan.files.cache import long_work
-from lscan.files.disk import content_sha256, list_names, read_bytes, require_within
-from lscan.files.jsonfiles import read_json
+from lscan.files.disk import content_sha256, list_names, read_bytes, read_json, require_within
 from lscan.files.pictures import read_png
 from lscan.records import Bytes, Floats, Frame
 from lscan.version import __version__

@@ -28,8 +28,7 @@ from lscan.config.plugins import installed
 from lscan.errors import InputError
 from lscan.figures import style
 from lscan.figures.page import page_template
-from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import make_folder, write_atomically, write_json
 from lscan.records import Progress
 from lscan.stripe import find_extractor
 from lscan.version import __version__

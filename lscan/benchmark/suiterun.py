@@ -28,8 +28,7 @@ from lscan.benchmark.methods import THRESHOLD_DN, cases
 from lscan.config.plugins import others_versions
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsonfiles import read_json, write_json
+from lscan.files.disk import make_folder, read_json, write_atomically, write_json
 from lscan.records import Floats, Progress, Status
 from lscan.suites import CaseTruth, SuiteCase, find_suite, open_suite
 

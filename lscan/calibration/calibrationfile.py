@@ -46,8 +46,7 @@ from lscan.camera.posedboards import CAMERA, COUNT
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
-from lscan.files.disk import write_atomically
-from lscan.files.jsonfiles import read_json
+from lscan.files.disk import read_json, write_atomically
 from lscan.records import Axis, BoardReading, Ints, Mark, Marks, RingPoints, RulerReading, Status
 
 FORMAT: Final = "lscan-calibration"

@@ -25,7 +25,7 @@ from typer.core import TyperGroup
 from lscan.devices.signals import ignore_stop_signals, interrupted_by_signals, on_stop_signals
 from lscan.errors import InputError, LscanError, Stopped, missing_package
 from lscan.files.cache import long_work_shown
-from lscan.files.jsonfiles import json_text
+from lscan.files.disk import json_text
 from lscan.records import Progress
 from lscan.version import __version__
 

@@ -16,7 +16,7 @@ from lscan.cli.inputs import open_calibrated
 from lscan.config.rig import Rig
 from lscan.config.targets import Sandwave, load_shapes
 from lscan.errors import InputError, MeasurementError
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import write_json
 from lscan.measure import scale_along_track
 from lscan.measure.shapes import ShapeMeasure, measure_shapes
 from lscan.pipeline import Reconstruction

@@ -11,7 +11,7 @@ from lscan.acquisition.run import open_run
 from lscan.cli.console import Json, Trust, note, one_of, progress_bar, require_folders, show, table
 from lscan.cli.inputs import parse_numbers
 from lscan.errors import InputError
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import write_json
 from lscan.files.meshes import MM_PER_UNIT, TWICE, load_mesh
 from lscan.measure.meshes import MeshPose, compare_mesh, save_coloured_points, save_histogram
 from lscan.paper import experiment as paper

@@ -28,8 +28,15 @@ from pydantic_core import CoreSchema, ErrorDetails
 
 from lscan.config.scenes import included_file, scene_file
 from lscan.errors import InputError
-from lscan.files.disk import content_sha256, read_text, write_atomically
-from lscan.files.jsonfiles import MOST_LEVELS, TOO_DEEP, check_values, dotted
+from lscan.files.disk import (
+    MOST_LEVELS,
+    TOO_DEEP,
+    check_values,
+    content_sha256,
+    dotted,
+    read_text,
+    write_atomically,
+)
 
 # What a field of a file's model may hold: read from the model's types, said in words.
 

@@ -20,11 +20,12 @@ from lscan.files.disk import (
     MOST_TEXT_BYTES,
     list_names,
     open_regular,
+    parse_json,
     read_bytes,
+    read_json,
     reading_errors,
     require_within,
 )
-from lscan.files.jsonfiles import parse_json, read_json
 from lscan.files.pictures import MOST_BYTES, MOST_PX, read_header, read_png
 from lscan.records import Bytes, Mask, Status
 

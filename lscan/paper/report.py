@@ -12,8 +12,7 @@ from typing import Any
 
 from lscan.calibration.calibrationfile import save_calibration
 from lscan.figures.page import ReportFigure
-from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import make_folder, write_atomically, write_json
 from lscan.paper.experiment import (
     Experiment,
     Sources,

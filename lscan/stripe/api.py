@@ -1,6 +1,5 @@
 """What a stripe extractor is, and the one way to call it."""
 
-from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -9,7 +8,7 @@ from lscan.config.rig import StripeSection
 from lscan.errors import InputError
 from lscan.records import Floats, Mask, Status, Stripe, has_value
 
-_MARK, _SEVERAL, _SMOOTHS = "takes_integers", "several", "smooths_along"
+_MARK, _SMOOTHS = "takes_integers", "smooths_along"
 _GIVEN = (Status.OK, Status.SATURATED, Status.NO_PEAK, Status.AT_BORDER, Status.AMBIGUOUS)
 _CODES = np.array([[code] for code in _GIVEN])
 
@@ -104,40 +103,6 @@ def smooths_along(extractor: Extractor) -> bool:
     extractor : Extractor, any
     """
     return bool(getattr(extractor, _SMOOTHS, False))
-
-
-Picture = tuple[Any, StripeSection, Mask]
-"""What an extractor is called with."""
-
-Several = Callable[[Sequence[Picture]], list[Stripe]]
-
-
-def together(several: Several) -> Callable[[Extractor], Extractor]:
-    """Decorator of an extractor that is quicker with several pictures at once.
-
-    Parameters
-    ----------
-    several : callable, from the arguments for each picture to the stripes in them: the same that
-        the extractor finds in each picture by itself
-    """
-
-    def mark_extractor(extractor: Extractor) -> Extractor:
-        setattr(extractor, _SEVERAL, several)
-        return extractor
-
-    return mark_extractor
-
-
-def stripes_by(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:
-    """What an extractor finds in each of several pictures.
-
-    Parameters
-    ----------
-    extractor : Extractor, any
-    pictures : sequence of tuple, the arguments for each picture
-    """
-    several: Several | None = getattr(extractor, _SEVERAL, None)
-    return several(pictures) if several else [extractor(*picture) for picture in pictures]
 
 
 def require_stripe(stripe: Any, shape: tuple[int, ...], where: str) -> None:

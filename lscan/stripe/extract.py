@@ -1,6 +1,6 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,10 +28,8 @@ from lscan.records import (
 from lscan.stripe import peaks
 from lscan.stripe.api import (
     Extractor,
-    Picture,
     require_stripe,
     smooths_along,
-    stripes_by,
     takes_integers,
 )
 from lscan.stripe.corrections import correct_blur, smooth
@@ -115,13 +113,7 @@ def extract_stripes(
         As ``extract_stripe``.
     """
     extractor = find_extractor(settings.extractor)
-    seen = [_seen_picture(image, settings, background) for image, background in shown]
-    stripes = _call_extractor(
-        extractor, [(one.chosen.image, one.known, one.chosen.clipped) for one in seen]
-    )
-    return peaks.batch_by_kind(
-        _complete_stripes, list(zip(stripes, seen, strict=True)), lambda found: found[1].kind
-    )
+    return [_extract(extractor, image, settings, background) for image, background in shown]
 
 
 class _SeenPicture(NamedTuple):
@@ -131,11 +123,6 @@ class _SeenPicture(NamedTuple):
     light: PictureLines
     known: StripeSection
 
-    @property
-    def kind(self) -> tuple[object, ...]:
-        """Equal for pictures whose columns can stand side by side."""
-        return self.known, self.chosen.image.shape, self.light.white is None
-
 
 def _seen_picture(image: Bytes, settings: StripeSection, background: Bytes | None) -> _SeenPicture:
     light, known = _light(image, settings, background)
@@ -143,31 +130,22 @@ def _seen_picture(image: Bytes, settings: StripeSection, background: Bytes | Non
     return _SeenPicture(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
 
 
-def _complete_stripes(found: Sequence[tuple[Stripe, _SeenPicture]]) -> list[Stripe]:
-    """The stripes that an extractor found, with all that it does not know of the pictures.
-
-    found: of pictures of one kind.
-    """
-    found_in = [seen for _, seen in found]
-    settings, lights = found_in[0].known, [seen.chosen.image.T for seen in found_in]
-    white = [seen.light.white for seen in found_in if seen.light.white is not None]
-    made_up = np.concatenate(white) if white else None
-    clipped = np.concatenate([seen.chosen.clipped.T for seen in found_in])
-    whole = peaks.join_stripes([stripe for stripe, _ in found])
-    whole = _mark_saturated(whole, clipped, made_up, settings.span_px)
-    whole = withhold(whole, np.concatenate([seen.chosen.ambiguous for seen in found_in]))
-    stripes = list(map(_doubt_by_target, peaks.split_stripe(whole, len(found)), found_in))
-    crests = [seen.chosen.crest for seen in found_in]
-    each = list(zip(stripes, lights, crests, strict=True))
-    stripes = at_least_seen(each, settings, smooths_along(find_extractor(settings.extractor)))
-    for place, light in enumerate(lights):
-        stripe = correct_blur(stripes[place], settings, light)
-        stripe = smooth(stripe, settings.smooth_px)
-        # Anywhere up to that on either side: a rectangular distribution (GUM 4.3.7).
-        aside_px = found_in[place].light.shift_px / np.sqrt(3)
-        stripes[place] = replace(stripe, sigma_px=np.hypot(stripe.sigma_px, aside_px))
-    whole = peaks.join_stripes(stripes)
-    return peaks.split_stripe(replace(whole, flux=peaks.core_flux(whole, *lights)), len(found))
+def _extract(
+    extractor: Extractor, image: Bytes, settings: StripeSection, background: Bytes | None
+) -> Stripe:
+    """The stripe that an extractor finds, with all that it does not know of the picture."""
+    seen = _seen_picture(image, settings, background)
+    known, light, clipped = seen.known, seen.chosen.image.T, seen.chosen.clipped
+    stripe = _call_extractor(extractor, seen.chosen.image, known, clipped)
+    stripe = _mark_saturated(stripe, clipped.T, seen.light.white, known.span_px)
+    stripe = withhold(stripe, seen.chosen.ambiguous)
+    stripe = _doubt_by_target(stripe, seen)
+    stripe = at_least_seen((stripe, light, seen.chosen.crest), known, smooths_along(extractor))
+    stripe = smooth(correct_blur(stripe, known, light), known.smooth_px)
+    # Anywhere up to that on either side: a rectangular distribution (GUM 4.3.7).
+    sigma_px = np.hypot(stripe.sigma_px, seen.light.shift_px / np.sqrt(3))
+    stripe = replace(stripe, sigma_px=sigma_px)
+    return replace(stripe, flux=peaks.core_flux(stripe, light))
 
 
 def _doubt_by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
@@ -223,29 +201,26 @@ def _light(
     return lit, settings
 
 
-def _call_extractor(extractor: Extractor, pictures: Sequence[Picture]) -> list[Stripe]:
+def _call_extractor(
+    extractor: Extractor, image: GreyValues, settings: StripeSection, clipped: Mask
+) -> Stripe:
     """What the extractor says, with the axis set; InputError where it is no extractor.
 
     An extractor may come from another package: it cannot write into the picture, and its result
     is validated.
     """
-    settings = pictures[0][1]
-    where, whole = f"extractor {settings.extractor}", takes_integers(extractor)
-    given = [
-        (_read_only(image if whole else image.astype(np.float64)), known, _read_only(clipped))
-        for image, known, clipped in pictures
-    ]
+    where = f"extractor {settings.extractor}"
+    given: NDArray[Any] = image if takes_integers(extractor) else image.astype(np.float64)
     try:
-        stripes = stripes_by(extractor, given)
+        stripe = extractor(_read_only(given), settings, _read_only(clipped))
     except LscanError:
         raise
     except Exception as error:
         if isinstance(error, TypeError) and not frames_of_others(error):
             raise InputError(f"cannot be called as an extractor: {error}", where=where) from error
         raise InputError(f"failed: {foreign_error(error)}", where=where) from error
-    for stripe, (image, *_) in zip(stripes, pictures, strict=True):
-        require_stripe(stripe, image.shape, where)
-    return [replace(stripe, axis=settings.axis) for stripe in stripes]
+    require_stripe(stripe, image.shape, where)
+    return replace(stripe, axis=settings.axis)
 
 
 def _read_only(picture: NDArray[_Value]) -> NDArray[_Value]:

@@ -1,32 +1,18 @@
 """Lines as Gaussians fitted to the pixels: the fit, what it leaves over, and the bound."""
 
-from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from math import sqrt
-from typing import Any, TypeVar, cast
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtr
 
 from lscan.records import Floats, Ints, Mask, select
+from lscan.stripe.kernels import CENTRE, TILT, fit_columns, lines_at
 from lscan.stripe.picture import Noise, robust_variance, scatter_noise
-
-CENTRE, LN_WIDTH, LN_HEIGHT, GROUND, TILT = range(5)
-_ROOT_TWO_PI = np.sqrt(2 * np.pi)
-
-_FINE, _FARTHEST = 256, 9
-_NDTR = ndtr(np.arange(-_FARTHEST * _FINE, _FARTHEST * _FINE + 1) / _FINE)
-"""Phi at steps of 1 / 256.  Half a step aside the first three terms of its Taylor series leave
-(1 / 512)^4 / 24 of its fourth derivative, which is below 0.6: 4e-13."""
 
 
 @dataclass(frozen=True)
 class CrossSections:
     """K lines as n pixels see them, and how that changes with the parameters.
-
-    In memory the K values of a pixel lie together: K is long, n is short.
 
     Attributes
     ----------
@@ -46,57 +32,9 @@ def lines(parameters: Floats, steps: Floats) -> CrossSections:
     Parameters
     ----------
     parameters : (K, 5) array, px and DN, see the module's text
-    steps : (n,) array, px, consecutive pixels, from the middle one
+    steps : (n,) array, px, consecutive pixels
     """
-    centre, ln_width, ln_height, ground, tilt = np.ascontiguousarray(parameters.T)
-    width, height = np.exp(ln_width), np.exp(ln_height)
-    edges = np.append(steps - 0.5, steps[-1] + 0.5)[:, None]
-    distance = edges - centre
-    distance /= width
-    density = exp(-0.5 * np.square(distance))
-    below, moment = _ndtr(distance, density), distance * density
-    by = np.empty((5, len(steps), len(parameters)))
-    light = np.subtract(below[1:], below[:-1], out=by[LN_HEIGHT])
-    light *= height * width * _ROOT_TWO_PI
-    np.subtract(density[:-1], density[1:], out=by[CENTRE])
-    by[CENTRE] *= height
-    np.subtract(moment[:-1], moment[1:], out=by[LN_WIDTH])
-    by[LN_WIDTH] *= height * width
-    by[LN_WIDTH] += light
-    by[GROUND] = 1.0
-    by[TILT] = steps[:, None]
-    under = tilt * steps[:, None]
-    under += ground
-    return CrossSections(light.T, under.T, by.transpose(2, 0, 1))
-
-
-def exp(x: Floats) -> Floats:
-    """The exponential function by OpenCV, in a fifth of the time that NumPy takes for many values.
-
-    Parameters
-    ----------
-    x : array, of one dimension or two
-    """
-    return np.asarray(cv2.exp(x), float).reshape(x.shape) if x.size else x
-
-
-def _ndtr(x: Floats, bell: Floats) -> Floats:
-    """Phi(x), from ``bell`` = exp(-x² / 2): a tenth of the time that SciPy's ndtr takes."""
-    place = np.rint(x * _FINE)
-    aside = place * (-1 / _FINE)
-    aside += x
-    series = np.square(x)
-    series -= 1.0
-    for factor, term in ((1 / 3, x), (1 / 2, 1.0)):
-        series *= aside
-        series *= factor
-        series += term
-    aside *= 1 / _ROOT_TWO_PI
-    series *= aside
-    series *= bell
-    place += _FARTHEST * _FINE
-    series += _NDTR.take(place.astype(np.int64), mode="clip")
-    return series
+    return CrossSections(*lines_at(np.ascontiguousarray(parameters), float(steps[0]), len(steps)))
 
 
 def parameters_of(
@@ -113,18 +51,7 @@ def parameters_of(
     return np.column_stack([centre, np.log(width), np.log(height), ground, tilt])
 
 
-# One step of Fisher's scoring for many lines at once.
-#
-# The noise of a pixel depends on its light (picture.py), so each step weighs the pixels by the
-# variance that the line fitted so far gives them.  A clipped pixel enters with the probability of
-# what it says: the light was at least this (a censored observation, Tobin 1958).
-
-
-_Value = TypeVar("_Value", bound=np.generic)
-
-_FAR = -1e3
-"""Below, in standard deviations, the terms of a clipped pixel are their limits, -z and 1, to a
-millionth: computed, they are differences of numbers that agree in all their digits."""
+# Maximum likelihood of Gaussian lines under the sensor's noise (kernels.py has the search).
 
 
 @dataclass(frozen=True)
@@ -194,200 +121,6 @@ class LineSearch:
 
 
 @dataclass(frozen=True)
-class LinePixels:
-    """The windows of all lines, the K of a pixel together in memory: K is long, n is short.
-
-    Attributes
-    ----------
-    steps : (n,) array, px, place from the middle pixel
-    base : (K,) array, DN, background of the whole column
-    above : (n, K) array, DN, grey values above it
-    used : (n, K) array, 1 where the pixel counts, else 0
-    clipped : (n, K) mask, of the used pixels that may have seen any amount of light
-    noise : (3, K) array, its terms
-    mean, precision : (5, K) array, of what is known beforehand
-    """
-
-    steps: Floats
-    base: Floats
-    above: Floats
-    used: Floats
-    clipped: Mask
-    noise: Floats
-    mean: Floats
-    precision: Floats
-
-    @staticmethod
-    def of(searches: Sequence[LineSearch]) -> "LinePixels":
-        """Those of the lines of several pictures.
-
-        Parameters
-        ----------
-        searches : sequence of LineSearch, one or more
-        """
-        views, count = [search.view for search in searches], [len(s.start) for s in searches]
-        steps = max((view.steps for view in views), key=len)
-
-        def together(values: Sequence[NDArray[_Value]]) -> NDArray[_Value]:
-            whole = np.zeros((len(steps), sum(count)), dtype=values[0].dtype)
-            for value, last in zip(values, np.cumsum(count), strict=True):
-                beside = (len(steps) - value.shape[1]) // 2
-                whole[beside : len(steps) - beside, last - len(value) : last] = value.T
-            return whole
-
-        noise = np.array([astuple(search.noise) for search in searches])
-        return LinePixels(
-            steps=steps,
-            base=np.concatenate([view.base for view in views]),
-            above=together([view.grey - view.base[:, None] for view in views]),
-            used=together([view.used.astype(float) for view in views]),
-            clipped=together([view.clipped & view.used for view in views]),
-            noise=np.repeat(noise, count, axis=0).T,
-            mean=np.concatenate([search.prior.mean for search in searches]).T,
-            precision=np.concatenate([search.prior.precision for search in searches]).T,
-        )
-
-    def of_lines(self, chosen: Ints) -> "LinePixels":
-        """Those of some of the lines alone.
-
-        Parameters
-        ----------
-        chosen : (C,) array, indices among the K
-        """
-        parts = {k: v.take(chosen, axis=-1) for k, v in vars(self).items() if k != "steps"}
-        return replace(self, **parts)
-
-
-@dataclass(frozen=True)
-class WeightedLines:
-    """What the pixels of K lines show.
-
-    Attributes
-    ----------
-    jacobian : (5, n, K) array, derivative of the grey values by each parameter
-    light : (n, K) array, DN, of the lines
-    variance : (n, K) array, DN²
-    weight : (n, K) array, 1/DN², of each pixel
-    residual : (n, K) array, DN, what the pixels differ from the lines
-    """
-
-    jacobian: Floats
-    light: Floats
-    variance: Floats
-    weight: Floats
-    residual: Floats
-
-
-def normal_equations(
-    pixels: LinePixels, parameters: Floats
-) -> tuple[Floats, Floats, WeightedLines]:
-    """Fisher's information (5, 5, K), the score (5, K), and what they were made of.
-
-    Of the information, which is symmetric, the lower half is left out.
-
-    Parameters
-    ----------
-    pixels : LinePixels, px and DN, of K lines
-    parameters : (5, K) array, px and DN
-
-    References
-    ----------
-    Fisher's scoring; a clipped pixel is a censored observation (Tobin 1958).
-    """
-    model = lines(parameters.T, pixels.steps)
-    light, jacobian = model.light.T, model.jacobian.transpose(1, 2, 0)
-    by = jacobian[:GROUND]
-    veil = model.ground.T - pixels.base
-    variance = Noise(*cast(Any, pixels.noise)).variance(light, veil)
-    residual = pixels.above - light
-    residual -= veil
-    weight = pixels.used / variance
-    pull = weight * residual
-    if pixels.clipped.any():
-        weight, pull = _with_clipped(pixels, residual, variance, weight, pull)
-    weighted = np.empty((4, *weight.shape))
-    np.multiply(by, weight, out=weighted[:-1])
-    weighted[-1] = weight
-    # The derivatives by ground and tilt are the same for all lines: their sums are moments.
-    powers = pixels.steps ** np.arange(3)[:, None]
-    moments = powers @ weighted
-    information = np.empty((5, 5, len(pixels.base)))
-    for i in range(GROUND):
-        information[i, i:GROUND] = np.einsum("nk,jnk->jk", weighted[i], by[i:])
-        information[i, GROUND:] = moments[i, :2]
-    information[GROUND:, GROUND:] = moments[-1, [[0, 1], [1, 2]]]
-    diagonal = np.arange(5)
-    information[diagonal, diagonal] += pixels.precision
-    score = pixels.precision * (pixels.mean - parameters)
-    score[:GROUND] += np.einsum("ink,nk->ik", by, pull)
-    score[GROUND:] += powers[:2] @ pull
-    return information, score, WeightedLines(jacobian, light, variance, weight, residual)
-
-
-def _with_clipped(
-    pixels: LinePixels, residual: Floats, variance: Floats, weight: Floats, pull: Floats
-) -> tuple[Floats, Floats]:
-    """Weight and pull (n, K) with those of the clipped pixels put in.
-
-    Of ln Phi(z), z = (mu - limit) / sigma, the derivative by mu is lambda / sigma with
-    lambda = phi(z) / Phi(z), and minus the second is lambda (lambda + z) / sigma².  The limit
-    is half a grey value below the clipped one: what was rounded to it.
-    """
-    at = np.flatnonzero(pixels.clipped)
-    sigma = np.sqrt(variance.take(at))
-    z = (0.5 - residual.take(at)) / sigma
-    near = np.maximum(z, _FAR)
-    rate = np.exp(-0.5 * near**2 - 0.5 * np.log(2 * np.pi) - log_ndtr(near))
-    weight.flat[at] = np.where(z < _FAR, 1.0, np.maximum(rate * (rate + near), 0.0)) / sigma**2
-    rate = np.where(z < _FAR, -z, rate)
-    pull.flat[at] = rate / sigma
-    return weight, pull
-
-
-def solve_each(matrix: Floats, right: Floats) -> Floats:
-    """(m, r, K) solutions of K systems of equations, all of them in each step.
-
-    Elimination: symmetric matrices that are positive definite need no exchange of rows, and of
-    them the upper half alone is read.
-
-    Parameters
-    ----------
-    matrix : (m, m, K) array
-    right : (m, r, K) array
-    """
-    size = len(matrix)
-    rows = np.concatenate([matrix, right], axis=1)
-    for i in range(size):
-        factor = rows[i, i + 1 : size] / rows[i, i]
-        for j in range(i + 1, size):
-            rows[j, j:] -= factor[j - i - 1] * rows[i, j:]
-    solution = rows[:, size:]
-    for i in reversed(range(size)):
-        solution[i] /= rows[i, i]
-        solution[:i] -= rows[:i, i, None] * solution[i]
-    return solution
-
-
-# Maximum likelihood of Gaussian lines under the sensor's noise, many columns at once.
-
-
-_MOST_STEPS = 30
-_FULL_STEPS = 10
-"""Steps taken in full.  The weights follow the line, and now and then the line the weights, to
-and fro: half steps end that."""
-
-_SETTLED = 1e-4
-"""A line is at rest where the step, squared, in units of the uncertainty is below this."""
-
-_LONGEST_STEP = np.array([[1.0], [0.35], [0.7], [np.inf], [np.inf]])
-"""Farthest a parameter may go in one step: beyond, the model is nothing like its tangent."""
-
-_LEAST = np.array([[-np.inf], [np.log(0.25)], [np.log(1e-3)], [-np.inf], [-np.inf]])
-_MOST = np.array([[np.inf], [np.log(40.0)], [np.log(1e6)], [np.inf], [np.inf]])
-"""Widths in px and heights in DN that a line can have; no picture distinguishes beyond."""
-
-
-@dataclass(frozen=True)
 class LineFit:
     """K fitted lines.
 
@@ -414,83 +147,22 @@ class LineFit:
     misfit: Floats
 
 
-def fit_lines(searches: Sequence[LineSearch]) -> list[LineFit]:
-    """The most probable lines of each of several pictures.
-
-    Each line is fitted by itself; together they take fewer and larger steps of NumPy.
+def fit_lines(search: LineSearch) -> LineFit:
+    """The most probable lines of a picture, each fitted by itself.
 
     Parameters
     ----------
-    searches : sequence of LineSearch, one or more
+    search : LineSearch, px and DN
 
     References
     ----------
     Fisher's scoring; a clipped pixel is a censored observation (Tobin 1958).
     """
-    every = LinePixels.of(searches)
-    parameters = _within_limits(np.concatenate([search.start for search in searches]).T)
-    settled = np.zeros(parameters.shape[1], dtype=bool)
-    moving, part = np.arange(len(settled)), every
-    for turn in range(_MOST_STEPS):
-        information, score, _ = normal_equations(part, parameters[:, moving])
-        step = solve_each(information, score[:, None])[:, 0]
-        done = (step * score).sum(axis=0) < _SETTLED
-        step = np.minimum(np.maximum(step, -_LONGEST_STEP), _LONGEST_STEP)
-        step *= 1.0 if turn < _FULL_STEPS else 0.5
-        parameters[:, moving] = _within_limits(parameters[:, moving] + step)
-        settled[moving[done]] = True
-        if done.any():
-            moving = moving[~done]
-            part = every.of_lines(moving)
-        if len(moving) == 0:
-            break
-    return _line_fits(searches, every, parameters, settled)
-
-
-def _within_limits(parameters: Floats) -> Floats:
-    return np.minimum(np.maximum(parameters, _LEAST), _MOST)
-
-
-def _line_fits(
-    searches: Sequence[LineSearch], pixels: LinePixels, parameters: Floats, settled: Mask
-) -> list[LineFit]:
-    """The fits at ``parameters`` (5, K) with their covariance and how they explain the pixels."""
-    information, _, end = normal_equations(pixels, parameters)
-    one = np.repeat(np.eye(5)[..., None], len(settled), axis=2)
-    covariance = solve_each(information, one)
-    along = np.einsum("ijk,jnk->ink", covariance, end.jacobian)
-    leverage = end.weight * np.einsum("ink,ink->nk", end.jacobian, along)
-    # A pixel that the fit follows nearly everywhere says little of the noise.
-    seen = (pixels.used > 0) & ~pixels.clipped & (leverage < 0.9)
-    residual = end.residual / np.sqrt(np.where(seen, 1 - leverage, 1.0))
-    ratio = np.where(seen, residual**2 / end.variance, 0.0)
-    misfit = ratio.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    gain = along[CENTRE] * end.weight
-    fits, first = [], 0
-    for search in searches:
-        count, width = search.view.grey.shape
-        beside, part = (len(pixels.steps) - width) // 2, slice(first, first + count)
-        near = np.s_[beside : beside + width, part]
-        first += count
-        fits.append(
-            LineFit(
-                parameters[:, part].T,
-                covariance[..., part].transpose(2, 0, 1),
-                gain[near].T,
-                settled[part],
-                end.light[near].T,
-                residual[near].T,
-                seen[near].T,
-                misfit[part],
-            )
-        )
-    return fits
-
-
-# Noise and misfit: how the pixels of neighbouring columns scatter about their lines; the bound.
-
-
-_Number = TypeVar("_Number", bound=np.number)
+    view, prior = search.view, search.prior
+    grey, noise = view.grey.astype(float), np.array(astuple(search.noise))
+    arrays = grey, view.base, view.used, view.clipped, noise, prior.mean, prior.precision
+    start, *given = map(np.ascontiguousarray, (search.start, *arrays))
+    return LineFit(*fit_columns(start, float(view.steps[0]), *given))
 
 
 # Noise and misfit: how the pixels of neighbouring columns scatter about their lines.

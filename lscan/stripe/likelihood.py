@@ -1,18 +1,13 @@
 """The extractor that makes the most of the pixels: maximum likelihood of a Gaussian line."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, select
-from lscan.stripe.api import Picture, on_integers, together
+from lscan.stripe.api import on_integers
 from lscan.stripe.fit import (
-    CENTRE,
-    LN_HEIGHT,
-    LN_WIDTH,
-    TILT,
     LineFit,
     LinePrior,
     LineSearch,
@@ -22,6 +17,7 @@ from lscan.stripe.fit import (
     parameters_of,
     scatter_of,
 )
+from lscan.stripe.kernels import CENTRE, LN_HEIGHT, LN_WIDTH, TILT
 from lscan.stripe.peaks import (
     FWHM,
     Peaks,
@@ -138,23 +134,8 @@ def survey(image: GreyValues, settings: StripeSection, clipped: Mask) -> Survey 
     settings : StripeSection, threshold, span and noise
     clipped : (H, W) mask, as extractors get it
     """
-    return surveys([(image, settings, clipped)])[0]
-
-
-def surveys(pictures: Sequence[Picture]) -> list[Survey | Stripe]:
-    """The same of several pictures, whose lines are fitted together.
-
-    Parameters
-    ----------
-    pictures : sequence of tuple, the arguments of :func:`survey` for each
-    """
-    found = [_lit_columns(*picture) for picture in pictures]
-    noted = [one for one in found if isinstance(one, _LitColumns)]
-    known = {
-        stated: iter(_surveys_by_sample([one for one in noted if one.states_noise == stated]))
-        for stated in (False, True)
-    }
-    return [next(known[one.states_noise]) if isinstance(one, _LitColumns) else one for one in found]
+    found = _lit_columns(image, settings, clipped)
+    return _survey_by_sample(found) if isinstance(found, _LitColumns) else found
 
 
 @dataclass(frozen=True)
@@ -176,16 +157,11 @@ class _LitColumns:
     pitch_px: int
     sample: Ints
 
-    @property
-    def states_noise(self) -> bool:
-        """Whether the settings do."""
-        return self.settings.noise is not None
-
 
 def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _LitColumns | Stripe:
     """The columns with a line, or the stripe itself where there are none."""
     columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
-    stripe, peaks = nominal_peaks([columns], settings)
+    stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
         return stripe
     if settings.noise is None:
@@ -221,45 +197,28 @@ def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _
     )
 
 
-def _surveys_by_sample(found: Sequence[_LitColumns]) -> list[Survey]:
-    """The surveys of pictures with a line, from the fits to a sample of it in each.
+def _survey_by_sample(found: _LitColumns) -> Survey:
+    """The survey of a picture with a line, from the fits to a sample of it.
 
-    The settings of all state the noise, or of none.  It is that found before where they do, else
-    as the lines' residuals have it.
+    The noise is that found before where the settings state it, else as the lines' residuals have
+    it.
     """
-    searches = []
-    for one in found:
-        precision = weak_precision(one.start)
-        precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
-        search = LineSearch(one.view, one.start, one.noise, LinePrior(one.start, precision))
-        searches.append(search.of(one.sample))
-    fits, scatters = _fit_samples(searches, found)
-    for _ in range(_NOISE_TURNS if found and not found[0].states_noise else 0):
-        searches = [
-            replace(
-                search,
-                start=fit.parameters,
-                noise=scatter.noise(one.noise.constant, one.known_from),
-            )
-            for one, search, fit, scatter in zip(found, searches, fits, scatters, strict=True)
-        ]
-        fits, scatters = _fit_samples(searches, found)
-    return [
-        _survey(one, fit, search.noise, scatter.misfit(search.noise))
-        for one, fit, search, scatter in zip(found, fits, searches, scatters, strict=True)
-    ]
+    precision = weak_precision(found.start)
+    precision[:, LN_WIDTH] = 1 / _WIDTH_DOUBT**2
+    prior = LinePrior(found.start, precision)
+    search = LineSearch(found.view, found.start, found.noise, prior).of(found.sample)
+    fit, scatter = _fit_sample(search, found)
+    for _ in range(_NOISE_TURNS if found.settings.noise is None else 0):
+        noise = scatter.noise(found.noise.constant, found.known_from)
+        search = replace(search, start=fit.parameters, noise=noise)
+        fit, scatter = _fit_sample(search, found)
+    return _survey(found, fit, search.noise, scatter.misfit(search.noise))
 
 
-def _fit_samples(
-    searches: Sequence[LineSearch], found: Sequence[_LitColumns]
-) -> tuple[list[LineFit], list[Scatter]]:
-    fits, scatters = fit_lines(searches) if searches else [], []
-    for fit, one in zip(fits, found, strict=True):
-        peaks = select(one.peaks, one.sample)
-        scatter = scatter_of(fit, peaks.columns, peaks.rows, _APART[one.pitch_px])
-        different = _SEEN_NOISE[one.pitch_px] * scatter.different
-        scatters.append(replace(scatter, different=different))
-    return fits, scatters
+def _fit_sample(search: LineSearch, found: _LitColumns) -> tuple[LineFit, Scatter]:
+    fit, peaks = fit_lines(search), select(found.peaks, found.sample)
+    scatter = scatter_of(fit, peaks.columns, peaks.rows, _APART[found.pitch_px])
+    return fit, replace(scatter, different=_SEEN_NOISE[found.pitch_px] * scatter.different)
 
 
 def _survey(found: _LitColumns, fit: LineFit, noise: Noise, misfit: float) -> Survey:
@@ -346,8 +305,6 @@ def _view(columns: GreyValues, lost: Mask, peaks: Peaks, width_px: Floats) -> Li
     used = (np.abs(steps) <= reach) & (rows >= 0) & (rows < columns.shape[1])
     grey = windows(columns, peaks.columns, peaks.rows, steps)
     clipped = windows(lost, peaks.columns, peaks.rows, steps) > 0
-    each = (np.asfortranarray(values) for values in (grey, used, clipped))  # as in of()
-    grey, used, clipped = each
     return LineWindows(steps.astype(float), grey, peaks.base, used, clipped)
 
 
@@ -421,23 +378,6 @@ _CREST = 1.5  # widths from its brightest pixel, where a line has a third of its
 _SURE = 1e6  # precision in px²/DN² of a slope that so few pixels do not tell
 
 
-def _several(pictures: Sequence[Picture]) -> list[Stripe]:
-    """:func:`maximum_likelihood` of several pictures, whose lines are fitted together."""
-    seen = surveys(pictures)
-    each = zip(seen, pictures, strict=True)
-    known = [(one, picture[1]) for one, picture in each if isinstance(one, Survey)]
-    surveyed = [one for one, _ in known]
-    searches = [_search(one) for one in surveyed]
-    fits = fit_lines(searches) if searches else []
-    at = [_foreign(one, fit, of) for one, fit, (_, of) in zip(searches, fits, known, strict=True)]
-    crests = _crests(surveyed, searches, at)
-    found = map(_stripe, surveyed, fits, crests)
-    return [
-        _saturate(next(found), *picture) if isinstance(one, Survey) else one
-        for one, picture in zip(seen, pictures, strict=True)
-    ]
-
-
 def _search(seen: Survey) -> LineSearch:
     """What the lines of a picture are fitted to, their width and ground held to the neighbours'."""
     precision = weak_precision(seen.start)
@@ -447,7 +387,6 @@ def _search(seen: Survey) -> LineSearch:
 
 
 @on_integers
-@together(_several)
 def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line by maximum likelihood in each column of a picture.
 
@@ -480,32 +419,28 @@ def maximum_likelihood(image: GreyValues, settings: StripeSection, clipped: Mask
     ----------
     The bound that it approaches: docs/explanation/physics.md, section 4.
     """
-    return _several([(image, settings, clipped)])[0]
-
-
-def _saturate(stripe: Stripe, image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
-    """The stripe with its clipped columns SATURATED."""
+    seen = survey(image, settings, clipped)
+    if isinstance(seen, Stripe):
+        return seen
+    search = _search(seen)
+    fit = fit_lines(search)
+    stripe = _stripe(seen, fit, _crests(seen, search, _foreign(search, fit, settings)))
     saturated = clipped_near(stripe, clipped.T, settings.span_px)
     status = stripe.status.copy()
     status[saturated] = Status.SATURATED
     return replace(stripe, status=status)
 
 
-def _crests(
-    seen: Sequence[Survey], searches: Sequence[LineSearch], at: Sequence[Ints]
-) -> list[Floats]:
+def _crests(seen: Survey, search: LineSearch, at: Ints) -> Floats:
     """(K,) centre in px from the peak by each line's crest alone, NaN where the whole line will do.
 
     at: numbers of the lines with something beside them, as light of a surface that begins there,
     or the line of another surface where the target has a step.
     """
-    parts = [_crest(*one) for one in zip(seen, searches, at, strict=True) if len(one[-1])]
-    found = iter(fit_lines(parts) if parts else [])
-    crests = [np.full(len(search.start), np.nan) for search in searches]
-    for crest, chosen in zip(crests, at, strict=True):
-        if len(chosen):
-            fit = next(found)
-            crest[chosen] = np.where(fit.settled, fit.parameters[:, CENTRE], np.nan)
+    crests = np.full(len(search.start), np.nan)
+    if len(at):
+        fit = fit_lines(_crest(seen, search, at))
+        crests[at] = np.where(fit.settled, fit.parameters[:, CENTRE], np.nan)
     return crests
 
 

@@ -1,6 +1,5 @@
 """What the columns of a picture hold: their peaks, and spots that may be a line."""
 
-from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
@@ -11,6 +10,7 @@ from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Singles, Status, Stripe, has_value, select
+from lscan.stripe.kernels import linked_runs
 
 # Values of a rank in the columns of a picture: the highest, and the median.
 
@@ -152,7 +152,7 @@ class Peaks:
     base: Floats
 
 
-def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tuple[Stripe, Peaks]:
+def nominal_peaks(columns: GreyValues, settings: StripeSection) -> tuple[Stripe, Peaks]:
     """A stripe with peaks and statuses but no centres yet, and the columns that have a line.
 
     A column has a line where its highest value, the first maximum from the top, exceeds its
@@ -162,21 +162,18 @@ def nominal_peaks(pictures: Sequence[GreyValues], settings: StripeSection) -> tu
 
     Parameters
     ----------
-    pictures : sequence of (W, H) array, DN, one column of a picture a row; of one size, side by
-        side as one picture
+    columns : (W, H) array, DN, one column of the picture a row
     settings : StripeSection, threshold and span
 
     References
     ----------
     Sec. V.B of the paper.
     """
-    height = pictures[0].shape[1]
-    smoothed = [smoothed_by_width(columns, settings.line_width_px) for columns in pictures]
-    places = [crests(columns) for columns in smoothed]
-    rows = np.concatenate(places)
-    base = np.concatenate([order_statistic(columns, height // 2) for columns in pictures])
-    each = zip(smoothed, places, strict=True)
-    peak = np.concatenate([columns[np.arange(len(row)), row] for columns, row in each]) - base
+    height = columns.shape[1]
+    smoothed = smoothed_by_width(columns, settings.line_width_px)
+    rows = crests(smoothed)
+    base = order_statistic(columns, height // 2)
+    peak = smoothed[np.arange(len(rows)), rows] - base
     width = len(rows)
     border = (rows < settings.span_px) | (rows >= height - settings.span_px)
     status = np.full(width, int(Status.OK), dtype=np.int64)
@@ -278,23 +275,6 @@ def windows(columns: NDArray[Any], at: Ints, rows: Ints, steps: Ints | int) -> F
     return columns.reshape(-1).take(inside).astype(np.float64, copy=False)
 
 
-def windows_beside(
-    pictures: Sequence[NDArray[Any]], at: Ints, rows: Ints, steps: Ints | int
-) -> Floats:
-    """The :func:`windows` of pictures side by side as one picture.
-
-    Parameters
-    ----------
-    pictures : sequence of (W, H) array, of one size
-    at : (K,) array, indices of the columns of all, rising
-    rows, steps : as :func:`windows` takes them
-    """
-    first = np.arange(len(pictures)) * len(pictures[0])
-    begin = np.searchsorted(at, first)
-    parts = zip(pictures, np.split(at, begin[1:]), np.split(rows, begin[1:]), first, strict=True)
-    return np.concatenate([windows(one, here - k, row, steps) for one, here, row, k in parts])
-
-
 def stripe_at(stripe: Stripe, peaks: Peaks, offset: Floats, sigma_px: Floats, kept: Mask) -> Stripe:
     """The stripe with centres beside the peaks, NO_PEAK where they are not kept.
 
@@ -329,55 +309,6 @@ def clipped_near(stripe: Stripe, clipped: Mask, span_px: int) -> Ints:
     valued = np.flatnonzero(has_value(stripe.status))
     middle = np.rint(stripe.centre_px[valued]).astype(int)
     return valued[windows(clipped, valued, middle, span_px).any(axis=1)]
-
-
-# Pictures side by side, as one wide picture: what goes by columns takes all in one step.
-#
-# To begin a step takes NumPy longer than that step does for the columns of one picture.
-
-
-_Item = TypeVar("_Item")
-_Result = TypeVar("_Result")
-_Work = Callable[[Sequence[_Item]], list[_Result]]
-
-
-def batch_by_kind(
-    work: _Work[_Item, _Result], items: Sequence[_Item], kind: Callable[[_Item], Hashable]
-) -> list[_Result]:
-    """What ``work`` makes of each of the items: in one call if they are alike, else one by one.
-
-    Parameters
-    ----------
-    work : callable, from items of one kind to a result for each
-    items : sequence, one or more
-    kind : callable, of an item: equal for those that are alike
-    """
-    if len(set(map(kind, items))) == 1:
-        return work(items)
-    return [result for item in items for result in work([item])]
-
-
-def join_stripes(stripes: Sequence[Stripe]) -> Stripe:
-    """One stripe of the entries of all.
-
-    Parameters
-    ----------
-    stripes : sequence of Stripe, px, of one axis, without flux
-    """
-    each = [(one.centre_px, one.sigma_px, one.peak, one.status) for one in stripes]
-    return Stripe(stripes[0].axis, *map(np.concatenate, zip(*each, strict=True)))
-
-
-def split_stripe(stripe: Stripe, count: int) -> list[Stripe]:
-    """The stripes that :func:`join_stripes` made one of.
-
-    Parameters
-    ----------
-    stripe : Stripe, px
-    count : int, of parts of the same length
-    """
-    length = len(stripe.status) // count
-    return [select(stripe, slice(k * length, (k + 1) * length)) for k in range(count)]
 
 
 # How wide the laser line is in a picture.
@@ -463,7 +394,7 @@ BESIDE_CORE_PX = (4, 6)
 enough that a wall or a halo is as bright there as beneath the line."""
 
 
-def core_flux(stripe: Stripe, *lights: GreyValues) -> Floats:
+def core_flux(stripe: Stripe, light: GreyValues) -> Floats:
     """(N,) light within CORE_PX of the line's centre above the ground beside it, DN.
 
     NaN where the stripe has no value, and where no light is left above the ground.
@@ -476,8 +407,7 @@ def core_flux(stripe: Stripe, *lights: GreyValues) -> Floats:
     Parameters
     ----------
     stripe : Stripe, px, of N entries
-    lights : array, DN, (N, L) with a row for each entry of the stripe; or several of one size, each
-        with the rows of the next entries
+    light : (N, L) array, DN, a row for each entry of the stripe
     """
     flux = np.full(len(stripe.status), np.nan)
     valued = np.flatnonzero(has_value(stripe.status))
@@ -485,7 +415,7 @@ def core_flux(stripe: Stripe, *lights: GreyValues) -> Floats:
     steps = np.abs(np.arange(-BESIDE_CORE_PX[1], BESIDE_CORE_PX[1] + 1))
     beside, core = steps >= BESIDE_CORE_PX[0], steps <= CORE_PX
     weights = core * beside.sum() - beside * core.sum()  # whole: of even light nothing is left
-    total = windows_beside(lights, valued, row, BESIDE_CORE_PX[1]) @ weights / beside.sum()
+    total = windows(light, valued, row, BESIDE_CORE_PX[1]) @ weights / beside.sum()
     flux[valued] = np.where(total > 0, total, np.nan)
     return flux
 
@@ -656,26 +586,13 @@ def relief_of(
 
 
 def _opening(values: Singles, size: int, rows: slice) -> Singles:
-    """Some of (H, W) rows after a grey-scale opening over ``size`` of them, an odd number.
-
-    Edges cut it short.  The extreme of so many rows is that of two parts that overlap, each found
-    from half as many.
-    """
+    """Some of (H, W) rows after a grey-scale opening over ``size`` of them; edges cut it short."""
     first, last, _ = rows.indices(len(values))
-    reach, half = size - 1, size // 2
-    whole = first < reach or last + reach > len(values)
-    values = values if whole else values[first - reach : last + reach]
-    for extreme, nothing in ((np.minimum, np.inf), (np.maximum, -np.inf)):
-        if whole:
-            padded = np.full((len(values) + 2 * half, values.shape[1]), nothing, np.float32)
-            padded[half : half + len(values)] = values
-            values = padded
-        done = 1
-        while done < size:
-            step = min(done, size - done)
-            values = extreme(values[:-step], values[step:])
-            done += step
-    return values[rows] if whole else values
+    begin = max(first - size + 1, 0)
+    opened = cv2.morphologyEx(
+        values[begin : last + size - 1], cv2.MORPH_OPEN, np.ones((size, 1), np.uint8)
+    )
+    return np.asarray(opened[first - begin : last - begin], np.float32)
 
 
 @dataclass(frozen=True)
@@ -851,43 +768,7 @@ def runs_of(spots: Spots) -> Ints:
     ----------
     spots : Spots, px, K of them
     """
-    count = len(spots.column)
-    column, middle, height = spots.column, spots.middle, spots.height
-    open_right, open_left = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
-    before = np.arange(count)  # the spot to the left that each is linked to; itself without one
-    for apart in range(1, GAP + 1):
-        left, right = np.flatnonzero(open_right), np.flatnonzero(open_left)
-        wanted = column[left] + apart
-        first, second = _within(column[right], wanted, wanted)
-        if len(first) == 0:
-            continue
-        first, second = left[first], right[second]
-        distance = np.abs(middle[first] - middle[second])
-        near = distance <= (height[first] + height[second]) / 2 + apart
-        first, second, distance = first[near], second[near], distance[near]
-        mutual = _is_least(first, distance) & _is_least(second, distance)
-        first, second = first[mutual], second[mutual]
-        open_right[first], open_left[second] = False, False
-        before[second] = first
-    # Stretches of spots that are each linked to the one before in the list, then runs of these.
-    begin = np.flatnonzero(before != np.arange(count) - 1)
-    stretch = np.repeat(np.arange(len(begin)), np.diff(np.append(begin, count)))
-    first_of = stretch[before[begin]]
-    while (first_of[first_of] != first_of).any():  # on to the first of each run, in doubling steps
-        first_of = first_of[first_of]
-    number = np.cumsum(first_of == np.arange(len(begin))) - 1
-    return number[first_of][stretch]
-
-
-def _is_least(group: Ints, value: Floats) -> Mask:
-    """Mask, same shape, of the first entry with the least value of its group."""
-    if (np.diff(group) > 0).all():  # one in each
-        return np.ones(len(group), dtype=bool)
-    order = np.lexsort((value, group))
-    _, first = np.unique(group[order], return_index=True)
-    least = np.zeros(len(group), dtype=bool)
-    least[order[first]] = True
-    return least
+    return linked_runs(spots.column, spots.top, spots.bottom, GAP)
 
 
 def footprint(spots: Spots, over: Mask, shape: tuple[int, ...]) -> Mask:

@@ -7,28 +7,26 @@ pixel, through which the pixels' noise reaches the centre, and so does what the 
 differs by (fit.py).  sigma_px holds all three.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial, wraps
+from functools import wraps
 from typing import cast
 
 import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Stripe
-from lscan.stripe.api import Extractor, Picture, Several, on_integers, together
+from lscan.stripe.api import Extractor, on_integers
 from lscan.stripe.fit import LineWindows, lines, parameters_of
 from lscan.stripe.likelihood import Survey, survey
 from lscan.stripe.peaks import (
     Peaks,
-    batch_by_kind,
     clipped_middles,
     nominal_peaks,
     smoothed_by_width,
     smoothing_px,
-    split_stripe,
     stripe_at,
-    windows_beside,
+    windows,
 )
 from lscan.stripe.picture import Noise, line_noise
 
@@ -175,16 +173,14 @@ Centring = Callable[[Floats], tuple[Floats, Floats]]
 and the derivative (K, n) of that offset by each grey value, in px/DN."""
 
 
-def _by(centring: Centring, guesses_background: bool = False) -> Several:
-    """The extractor of a rule, of pictures side by side where they are alike."""
-    work = partial(_alike, centring=centring, guesses_background=guesses_background)
-    return partial(batch_by_kind, work, kind=lambda picture: (picture[1], picture[0].shape))
-
-
-def _alike(
-    pictures: Sequence[Picture], centring: Centring, guesses_background: bool
-) -> list[Stripe]:
-    """The stripes of pictures of one size with the same settings.
+def _centred(
+    image: GreyValues,
+    settings: StripeSection,
+    clipped: Mask,
+    centring: Centring,
+    guesses_background: bool = False,
+) -> Stripe:
+    """The stripe by a rule.
 
     A column has a line where its highest value exceeds its median by more than
     ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
@@ -195,22 +191,17 @@ def _alike(
     window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.
     Fast where ``image.T`` is contiguous in memory.
     """
-    columns = [np.ascontiguousarray(image.T) for image, _, _ in pictures]
-    settings = pictures[0][1]
+    columns = np.ascontiguousarray(image.T)
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
-        return split_stripe(stripe, len(pictures))
-    lost = np.concatenate([clipped.T for *_, clipped in pictures])
-    middle, flat = clipped_middles(lost, peaks)
+        return stripe
+    middle, flat = clipped_middles(clipped.T, peaks)
     peaks = replace(peaks, rows=np.floor(middle).astype(int))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
-    wide = windows_beside(columns, peaks.columns, peaks.rows, settings.span_px + 1)
+    wide = windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
     window = wide[:, 1:-1]
     light = window - peaks.base[:, None]
-    # Of each picture the noise of its own.
-    begin = np.searchsorted(peaks.columns, np.arange(1, len(columns)) * len(columns[0]))
-    each = zip(columns, np.split(light, begin), np.split(peaks.columns, begin), strict=True)
-    variance = np.concatenate([line_noise(one, seen, at).variance(seen) for one, seen, at in each])
+    variance = line_noise(columns, light, peaks.columns).variance(light)
     offset, slope = centring(window)
     wide_crest = flat > settings.span_px
     offset[wide_crest], slope[wide_crest] = (middle - peaks.rows)[wide_crest], 0.0
@@ -226,8 +217,7 @@ def _alike(
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
-    found = stripe_at(stripe, peaks, offset, np.sqrt(variance_px), kept)
-    return split_stripe(found, len(pictures))
+    return stripe_at(stripe, peaks, offset, np.sqrt(variance_px), kept)
 
 
 def _no_offset(window: Floats) -> tuple[Floats, Floats]:
@@ -252,30 +242,24 @@ def _relative_offset(window: Floats) -> tuple[Floats, Floats]:
     return offset, slope
 
 
-_maximum, _centroid = _by(_no_offset), _by(_centroid_offset)
-_centroid_relative = _by(_relative_offset, guesses_background=True)
-
-
 @on_integers
-@together(_maximum)
 def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the brightest pixel of each column, the first from the top of several equal ones.
 
     Parameters
     ----------
     image : (H, W) array, DN, grey values
-    settings : StripeSection, threshold and span; see :func:`_alike`
+    settings : StripeSection, threshold and span; see :func:`_centred`
     clipped : (H, W) mask, the middle of whose run about the peak is the peak
 
     References
     ----------
     Sec. V.B of the paper: the nominal peak.
     """
-    return _maximum([(image, settings, clipped)])[0]
+    return _centred(image, settings, clipped, _no_offset)
 
 
 @on_integers
-@together(_centroid)
 def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the centroid of the grey values about each column's nominal peak.
 
@@ -284,36 +268,35 @@ def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Strip
     Parameters
     ----------
     image : (H, W) array, DN, grey values
-    settings : StripeSection, threshold and span; see :func:`_alike`
+    settings : StripeSection, threshold and span; see :func:`_centred`
     clipped : (H, W) mask, the middle of whose run about the peak is the peak
 
     References
     ----------
     Sec. V.B and eq. (8) of the paper.
     """
-    return _centroid([(image, settings, clipped)])[0]
+    return _centred(image, settings, clipped, _centroid_offset)
 
 
 @on_integers
-@together(_centroid_relative)
 def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     """The line at the centroid of the grey values above the smallest one in the window.
 
     Parameters
     ----------
     image : (H, W) array, DN, grey values
-    settings : StripeSection, threshold and span; see :func:`_alike`
+    settings : StripeSection, threshold and span; see :func:`_centred`
     clipped : (H, W) mask, the middle of whose run about the peak is the peak
 
     References
     ----------
     Sec. V.B of the paper: eq. (8) with the relative intensities.
     """
-    return _centroid_relative([(image, settings, clipped)])[0]
+    return _centred(image, settings, clipped, _relative_offset, guesses_background=True)
 
 
 def _peak_spread(
-    columns: Sequence[GreyValues], peaks: Peaks, variance: Floats, settings: StripeSection
+    columns: GreyValues, peaks: Peaks, variance: Floats, settings: StripeSection
 ) -> Floats:
     """Variance in px² (K,) of the pixels that might have been the nominal peak as well.
 
@@ -326,8 +309,8 @@ def _peak_spread(
     width_px = settings.line_width_px
     averaged = max(2 * np.sqrt(np.pi) * smoothing_px(width_px), 1.0)
     reach = max(_FARTHEST_PX, settings.span_px)
-    smoothed = [smoothed_by_width(one, width_px) for one in columns]
-    grey = windows_beside(smoothed, peaks.columns, peaks.rows, reach)
+    smoothed = smoothed_by_width(columns, width_px)
+    grey = windows(smoothed, peaks.columns, peaks.rows, reach)
     least = grey[:, reach] - 2 * np.sqrt(variance / averaged)
     near, steps = grey >= least[:, None], np.arange(-reach, reach + 1)
     count = np.count_nonzero(near, axis=1)  # of whole numbers: for floats BLAS would start threads

@@ -15,9 +15,7 @@ Where its third differences are the same at every h, each column has errors of i
 and of relief nothing is left but what is rough from one column to the next.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import compress
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -26,6 +24,7 @@ from numpy.typing import NDArray
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
 from lscan.stripe import peaks
+from lscan.stripe.kernels import weighted_moments
 from lscan.stripe.picture import robust_variance, stated_noise
 
 _Number = TypeVar("_Number", bound=np.number)
@@ -42,7 +41,6 @@ _WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its wid
 _SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
 _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
 _INSIDE, _FEWEST_INSIDE = slice(4, 12), 4  # columns from an end, beyond which it is not blurred
-_STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
 
 
 SeenLine = tuple[Stripe, GreyValues, Ints]
@@ -51,10 +49,8 @@ picture that entry i of the stripe was found in; and (N,), px, where each of tho
 """
 
 
-def at_least_seen(
-    seen: Sequence[SeenLine], settings: StripeSection, smooths: bool = False
-) -> list[Stripe]:
-    """The stripes with sigma_px enlarged to what their centres scatter about their neighbours.
+def at_least_seen(seen: SeenLine, settings: StripeSection, smooths: bool = False) -> Stripe:
+    """The stripe with sigma_px enlarged to what their centres scatter about their neighbours.
 
     Near the ends of a sloping line it also grows by what a blur that is not stated may do.
 
@@ -67,25 +63,23 @@ def at_least_seen(
 
     Parameters
     ----------
-    seen : sequence of SeenLine, of one picture each
-    settings : StripeSection, the line's width and the noise, as stated for these pictures
+    seen : SeenLine, of a picture
+    settings : StripeSection, the line's width and the noise, as stated for the picture
     smooths : bool, whether the centres' own scatter tells little, the extractor smoothing along
         the line
     """
-    enough = [np.count_nonzero(has_value(one.status)) >= _FEWEST_DIFFERENCES for one, *_ in seen]
-    chosen = list(compress(seen, enough))
-    widened = []
-    for one, of in zip(chosen, light_moments(chosen, settings.line_width_px), strict=True):
-        if settings.noise is None:
-            stripe = _widen_sigma(one[0], of)
-        else:
-            stripe = _widen_beyond_stated(one, of, settings.noise, smooths)
-        if settings.blur_px is None:
-            sigma_px = np.hypot(stripe.sigma_px, _end_doubt(stripe, of))
-            stripe = replace(stripe, sigma_px=sigma_px)
-        widened.append(stripe)
-    found = iter(widened)
-    return [next(found) if many else one[0] for one, many in zip(seen, enough, strict=True)]
+    stripe = seen[0]
+    if np.count_nonzero(has_value(stripe.status)) < _FEWEST_DIFFERENCES:
+        return stripe
+    light = light_moments(seen, settings.line_width_px)
+    if settings.noise is None:
+        stripe = _widen_sigma(stripe, light)
+    else:
+        stripe = _widen_beyond_stated(seen, light, settings.noise, smooths)
+    if settings.blur_px is None:
+        sigma_px = np.hypot(stripe.sigma_px, _end_doubt(stripe, light))
+        stripe = replace(stripe, sigma_px=sigma_px)
+    return stripe
 
 
 def _end_doubt(stripe: Stripe, light: "LightMoments") -> Floats:
@@ -251,61 +245,27 @@ class LightMoments(NamedTuple):
         return 1 if lag == 1 else max(lag, int(np.ceil(_WIDTHS * self.line_px)))
 
 
-def light_moments(seen: Sequence[SeenLine], width_px: float | None = None) -> list[LightMoments]:
-    """The light's moments across the line in each of several pictures.
+def light_moments(seen: SeenLine, width_px: float | None = None) -> LightMoments:
+    """The light's moments across the line in a picture.
 
     Through a Gaussian as wide as the line half of its displacement is seen, so each step to its
     middle goes twice as far as the first moment says; and of its variance w² only
     s² w² / (s² + w²), which is turned back.  Along a column a line of slope t is wider than across
     itself by (1 + t²)^(1/2).
 
-    A weight about the middle m is that about 0 times exp(m k / s²) at the pixel k, but for a factor
-    that all have in common, and so for none: of the weights about 0 powers of a number are left.
-
     Parameters
     ----------
-    seen : sequence of SeenLine, of one picture each, in which some columns have a value
+    seen : SeenLine, of a picture in which some columns have a value
     width_px : float, optional, px, full width of the line at half its height; found if left out
     """
-    if not seen:
-        return []
-    valued = [np.flatnonzero(has_value(stripe.status)) for stripe, *_ in seen]
-    widths = [
-        peaks.line_width(light, at, crest[at], width_px)
-        for (_, light, crest), at in zip(seen, valued, strict=True)
-    ]
-    scales = [max(width, _FINEST_PX) for width in widths]
-    ends = np.cumsum([len(at) for at in valued])
-    centre = np.concatenate([one.centre_px[at] for (one, *_), at in zip(seen, valued, strict=True)])
-    row = np.rint(centre).astype(int)
-    reach = [int(np.ceil(3 * scale)) + 2 for scale in scales]
-    weighted = np.zeros((2 * max(reach) + 1, len(row)))  # (n, K): n is short
-    for (_, light, _), at, end, far, scale in zip(seen, valued, ends, reach, scales, strict=True):
-        part, beside = slice(end - len(at), end), max(reach) - far
-        grey = peaks.windows(light, at, row[part], far).T
-        weight = np.exp(-0.5 * (np.arange(-far, far + 1) / scale) ** 2)[:, None]
-        ground = grey[[0, 1, -2, -1]].mean(axis=0)
-        weighted[beside : len(weighted) - beside, part] = weight * (grey - ground)
-    spread = np.repeat(scales, [len(at) for at in valued])
-    middle = centre - row
-    for _ in range(_STEPS):
-        about = middle
-        zeroth, first, second = _moments(weighted, np.exp(about / spread**2))
-        total = np.where(zeroth > 0, zeroth, np.nan)
-        step = (first / total - about) / spread
-        middle = about + spread * np.clip(2 * step, -1.0, 1.0)
-    variance = ((second - 2 * about * first) / total + about**2) / spread**2
-    across, places = variance / np.where(variance < 1, 1 - variance, np.nan), row + middle
-    # With the factors that all weights have in common, the one of _moments too.
-    flux = total * np.exp(-about * (about / 2 + max(reach)) / spread**2)
-    found = []
-    for (stripe, *_), at, end, width in zip(seen, valued, ends, widths, strict=True):
-        part, values = slice(end - len(at), end), np.full((3, len(stripe.status)), np.nan)
-        values[:, at] = places[part], across[part], flux[part]
-        line, squared, total = values
-        squared /= 1 + _slope(line, width) ** 2
-        found.append(LightMoments(width, line, squared, total))
-    return found
+    stripe, light, crest = seen
+    at = np.flatnonzero(has_value(stripe.status))
+    width = peaks.line_width(light, at, crest[at], width_px)
+    scale = max(width, _FINEST_PX)
+    line, squared, flux = values = np.full((3, len(stripe.status)), np.nan)
+    values[:, at] = weighted_moments(light, at, stripe.centre_px[at], scale)
+    squared /= np.where(squared < 1, 1 - squared, np.nan) * (1 + _slope(line, width) ** 2)
+    return LightMoments(width, line, squared, flux)
 
 
 def _slope(line: Floats, width_px: float) -> Floats:
@@ -314,21 +274,6 @@ def _slope(line: Floats, width_px: float) -> Floats:
     before, after = np.maximum(at - reach, 0), np.minimum(at + reach, len(line) - 1)
     slope: Floats = (line[after] - line[before]) / (after - before)
     return slope
-
-
-def _moments(weighted: Floats, factor: Floats) -> Floats:
-    """(3, K) zeroth to second moments of ``weighted`` (n, K) times ``factor`` (K,) ** step.
-
-    All by one factor more, that of the pixels before the middle one.  Horner's scheme.
-    """
-    total, reach = np.zeros((3, len(factor))), len(weighted) // 2
-    for step in range(reach, -reach - 1, -1):
-        total *= factor
-        light = weighted[step + reach]
-        for moment in total:
-            moment += light
-            light = light * step
-    return total
 
 
 def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:

@@ -23,7 +23,7 @@ from lscan.config.documents import Model, Strict, check
 from lscan.config.plugins import refuse_code
 from lscan.config.rig import OpticsSection, Rig, StripeSection
 from lscan.errors import InputError
-from lscan.files.jsonfiles import parse_json
+from lscan.files.disk import parse_json
 from lscan.files.pictures import encode_picture, read_png
 from lscan.records import Bytes, Floats, Ints, Marks, Status
 

@@ -14,7 +14,7 @@ from lscan.calibration.fields import Matrix, Place, Vector, check_covariance, of
 from lscan.config.documents import Strict, check
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError, MeasurementError
-from lscan.files.jsonfiles import read_json, write_json
+from lscan.files.disk import read_json, write_json
 from lscan.records import Floats, Ints, Provenance, Surface
 from lscan.surface.edges import EdgeCrossings
 from lscan.surface.surface import StoredProvenance, require_head_frame

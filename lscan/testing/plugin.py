@@ -146,7 +146,7 @@ def assert_no_worse(
             saved_run,
             write_suite_run,
         )
-        from lscan.files.jsonfiles import write_json
+        from lscan.files.disk import write_json
 
         file = request.path.parent / baseline
         if request.config.getoption(UPDATE):

@@ -32,14 +32,16 @@ from lscan.files.datasets import (
 )
 from lscan.files.disk import (
     disk_errors,
+    json_text,
     list_names,
     make_folder,
+    read_json,
     remove_temporaries,
     sync_folder,
     temporary_name,
     write_atomically,
+    write_json,
 )
-from lscan.files.jsonfiles import json_text, read_json, write_json
 from lscan.files.pictures import encode_picture
 from lscan.records import Progress
 from lscan.version import __version__

@@ -18,8 +18,7 @@ import trimesh
 from lscan.config.documents import Document, merge
 from lscan.config.rig import SheetSection, StripeSection, load_rig, parse_rig
 from lscan.errors import InputError
-from lscan.files.disk import make_folder, write_atomically
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import make_folder, write_atomically, write_json
 from lscan.records import Floats, Mask, Progress, Status, Stripe, Surface
 from lscan.stripe.corrections import correct_blur
 from lscan.surface.thickness import correct_thickness

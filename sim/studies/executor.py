@@ -33,8 +33,16 @@ import scipy
 from lscan.acquisition.run import first_difference
 from lscan.acquisition.scan import cores, require_guarded_main
 from lscan.errors import InputError, LscanError
-from lscan.files.disk import content_sha256, disk_errors, lock_folder, make_folder
-from lscan.files.jsonfiles import json_text, parse_json, read_json, write_json
+from lscan.files.disk import (
+    content_sha256,
+    disk_errors,
+    json_text,
+    lock_folder,
+    make_folder,
+    parse_json,
+    read_json,
+    write_json,
+)
 from lscan.version import __version__
 from sim.render.backend import THREADS
 

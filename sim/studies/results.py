@@ -20,8 +20,7 @@ from pydantic import TypeAdapter, ValidationError
 from lscan.config.documents import by_content
 from lscan.errors import DiskError, InputError, LscanError
 from lscan.files.containers import NetcdfArray, netcdf_bytes
-from lscan.files.disk import disk_errors, make_folder, read_text, write_atomically
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import disk_errors, make_folder, read_text, write_atomically, write_json
 from lscan.records import Floats
 from lscan.version import __version__
 from sim.studies.budget import CauseFacts, StudyResults, StudyRuns

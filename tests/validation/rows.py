@@ -11,8 +11,7 @@ from scipy.special import ndtr
 
 from lscan.errors import LscanError
 from lscan.figures.page import ReportFigure
-from lscan.files.disk import make_folder, packaged_table
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import make_folder, packaged_table, write_json
 
 # The rows of every figures file: a figure beside its bar, and what it was held against.
 

@@ -11,8 +11,7 @@ import numpy as np
 from lscan.config.documents import Document, by_content, named_files
 from lscan.config.scenes import included_file
 from lscan.errors import LscanError
-from lscan.files.disk import make_folder
-from lscan.files.jsonfiles import json_text
+from lscan.files.disk import json_text, make_folder
 from sim.studies.budget import DesignTrial
 from sim.studies.design.catalogue import DesignSection, load_catalogue
 from sim.studies.design.search import (

@@ -20,7 +20,7 @@ from lscan.calibration.marks import all_marks, joined_marks
 from lscan.config.documents import Document, by_content, merge
 from lscan.config.rig import parse_rig
 from lscan.errors import InputError, LscanError, MeasurementError
-from lscan.files.jsonfiles import json_text, read_json, write_json
+from lscan.files.disk import json_text, read_json, write_json
 from lscan.records import Floats, Marks, Mask, Progress, has_value, select
 from sim.meshes.parts import reflectance_at
 from sim.scene import Scene, scene_of

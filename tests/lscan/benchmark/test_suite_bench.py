@@ -30,7 +30,7 @@ from lscan.benchmark.suiterun import (
     write_suite_run,
 )
 from lscan.errors import InputError
-from lscan.files.jsonfiles import write_json
+from lscan.files.disk import write_json
 from lscan.records import Status, has_value
 from lscan.stripe import find_extractor
 from tests.validation.regression.mutations import drawn_sums

@@ -20,7 +20,7 @@ from lscan.config.documents import (
 from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from lscan.files.jsonfiles import read_json
+from lscan.files.disk import read_json
 
 TABLES = st.recursive(
     st.integers() | st.text(max_size=3),

@@ -29,7 +29,7 @@ def excess_of(centre, lag=1):
 
 def shared_of(centre, light):
     stripe = stripe_of(centre)
-    return light_moments([(stripe, light, crests(light))])[0].shared_columns(stripe)
+    return light_moments((stripe, light, crests(light))).shared_columns(stripe)
 
 
 def smooth_line():
