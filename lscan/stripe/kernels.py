@@ -36,7 +36,7 @@ class _FirstTime(event.Listener):
 event.register("numba:compile", _FirstTime())
 
 
-def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
+def compiled(function: Callable[_P, _R], fastmath: object = False) -> Callable[_P, _R]:
     """Decorator of a loop over arrays: it runs without the interpreter, and without its lock.
 
     numba compiles it when it is first called, and keeps that beside the module or, where nothing
@@ -46,15 +46,24 @@ def compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
     Parameters
     ----------
     function : callable, in the part of Python that numba knows
+    fastmath : as ``numba.njit`` takes it
     """
-    # Sums may be added up in any order, several of their terms at once; NaN stays what it is.
-    fast = {"reassoc", "contract", "nsz"}
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": fast}
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
     try:
         made = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # there is no place for it
         made = numba.njit(**options)(function)
     return cast(Callable[_P, _R], made)
+
+
+def compiled_sums(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """As ``compiled``, of sums whose terms may be added in any order, several at once.
+
+    Parameters
+    ----------
+    function : callable, as of ``compiled``; NaN stays what it is
+    """
+    return compiled(function, {"reassoc", "contract", "nsz"})
 
 
 def compile_all() -> None:
@@ -67,6 +76,7 @@ def compile_all() -> None:
         weighted_moments(np.ones((1, 9), kind), np.zeros(1, np.int64), np.array([4.0]), 1.0)
     one = np.zeros(1, np.int64)
     linked_runs(one, one, one, 1)
+    best_path(one, np.zeros(1), np.zeros(1), 1, 1.0, 1.0, 1.0)
 
 
 # Fisher's scoring for one Gaussian line after another (fit.py).
@@ -108,7 +118,7 @@ _FOLLOWED = 0.9  # a pixel that the fit follows nearly everywhere says little of
 FittedArrays: TypeAlias = tuple[Floats, Floats, Floats, Mask, Floats, Floats, Mask, Floats]
 
 
-@compiled
+@compiled_sums
 def fit_columns(
     start: Floats,
     first: float,
@@ -338,7 +348,7 @@ def solve_factorised(matrix: Floats, right: Floats) -> None:
 _STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
 
 
-@compiled
+@compiled_sums
 def weighted_moments(columns: GreyValues, at: Ints, centre: Floats, scale: float) -> Floats:
     """(3, K) of the light about some centres, weighted with a Gaussian about its own middle.
 
@@ -423,3 +433,63 @@ def linked_runs(column: Ints, top: Ints, bottom: Ints, gap: int) -> Ints:
         else:
             run[k] = run[before[k]]
     return run
+
+
+# The best path through spots (returns.py).
+
+
+@compiled
+def best_path(
+    column: Ints,
+    middle: Floats,
+    gain: Floats,
+    gap: int,
+    jump_px: float,
+    begin: float,
+    missed: float,
+) -> Ints:
+    """Indices of the spots on the path of the highest sum, by dynamic programming.
+
+    Parameters
+    ----------
+    column, middle : (K,) array, px, of the spots, columns rising
+    gain : (K,) array, what a path gains by each
+    gap : int, most columns from a spot to the next of its path
+    jump_px : float, px a column, by which a path moves at the price of 1
+    begin : float, the price of another beginning, and the most that a move costs
+    missed : float, the price of a column without a spot
+
+    References
+    ----------
+    R. Bellman, Dynamic Programming, Princeton 1957: of the best path every beginning is best.
+    """
+    count = len(column)
+    score, back = np.empty(count), np.full(count, -1)
+    top_score, top, first, oldest = 0.0, -1, 0, 0
+    while first < count:
+        end = first
+        while end < count and column[end] == column[first]:
+            end += 1
+        while column[oldest] < column[first] - gap:
+            oldest += 1
+        for k in range(first, end):
+            best = top_score - begin
+            back[k] = top
+            for j in range(oldest, first):
+                apart = column[k] - column[j]
+                move = min(abs(middle[k] - middle[j]) / (jump_px * apart), begin)
+                value = score[j] - move - missed * (apart - 1)
+                if value > best:
+                    best, back[k] = value, j
+            score[k] = gain[k] + best
+        for k in range(first, end):
+            if score[k] > top_score:
+                top_score, top = score[k], k
+        first = end
+    length, k = 0, top
+    while k >= 0:
+        length, k = length + 1, back[k]
+    path = np.empty(length, np.int64)
+    for place in range(length - 1, -1, -1):
+        path[place], top = top, back[top]
+    return path

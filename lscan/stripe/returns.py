@@ -13,6 +13,7 @@ from scipy.ndimage import convolve1d, uniform_filter1d
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value, select
+from lscan.stripe.kernels import best_path
 from lscan.stripe.peaks import (
     GAP,
     GROUND_PX,
@@ -172,7 +173,7 @@ def paths_of(spots: Spots, shape: tuple[int, ...], width_px: float) -> Ints:
     shape : tuple of int, (W, H) of the columns; a spot at their ends is not whole
     width_px : float, px, full width of the line
     """
-    count, height = shape
+    height = shape[1]
     path = np.full(len(spots.column), -1)
     whole = (spots.top > 0) & (spots.bottom < height - 1)
     free = np.flatnonzero(whole & (spots.height <= _WIDE * width_px + 1))
@@ -182,7 +183,7 @@ def paths_of(spots: Spots, shape: tuple[int, ...], width_px: float) -> Ints:
     unit = float(np.median(spots.peak[free[first]]))
     length = count_of_pieces = 0
     for _ in range(_MOST_PATHS):
-        best, piece = _pieces(spots, _best_path(spots, free, unit, count), width_px)
+        best, piece = _pieces(spots, _best_path(spots, free, unit), width_px)
         if len(best) == 0 or len(best) < _SECOND * length:
             break
         path[best] = count_of_pieces + piece
@@ -194,43 +195,15 @@ def paths_of(spots: Spots, shape: tuple[int, ...], width_px: float) -> Ints:
     return path
 
 
-def _best_path(spots: Spots, free: Ints, unit: float, count: int) -> Ints:
+def _best_path(spots: Spots, free: Ints, unit: float) -> Ints:
     """Indices of the spots on the best path through those that are free.
 
-    unit: light of a spot of the line, DN.  count: columns of the picture.
+    unit: light of a spot of the line, DN.
     """
     free = free[brightest(spots.column[free], spots.peak[free], _MOST_RIVALS)]
     gain = np.sqrt(np.minimum(spots.peak[free] / unit, 1.0)) - _ENOUGH
-    column = spots.column[free]
-    rank = np.arange(len(column)) - np.searchsorted(column, column)
-    # Indices of the spots of each column, -1 where there are fewer than the most.
-    table = np.full((count + GAP, int(rank.max()) + 1), -1)
-    table[column + GAP, rank] = np.arange(len(column))
-    rows = spots.middle[free][table]
-    gains = np.where(table >= 0, gain[table], -np.inf)
-    score, back = np.full(table.shape, -np.inf), np.full(table.shape, -1)
-    rivals = table.shape[1]
-    apart = np.arange(GAP, 0, -1)[:, None, None]
-    top_score, top = 0.0, -1
-    for i in np.flatnonzero((table >= 0).any(axis=1)):
-        step = (rows[i] - rows[i - GAP : i, :, None]) / (JUMP_PX * apart)
-        reached = (
-            score[i - GAP : i, :, None] - np.minimum(np.abs(step), _BEGIN) - _MISSED * (apart - 1)
-        )
-        reached = reached.reshape(-1, rivals)
-        before = reached.argmax(axis=0)
-        value = reached[before, np.arange(rivals)]
-        goes_on = value > top_score - _BEGIN
-        score[i] = gains[i] + np.where(goes_on, value, top_score - _BEGIN)
-        back[i] = np.where(goes_on, (i - GAP) * rivals + before, top)
-        here = int(score[i].argmax())
-        if score[i, here] > top_score:
-            top_score, top = float(score[i, here]), int(i) * rivals + here
-    followed: list[int] = []
-    while top >= 0:
-        followed.append(int(table.flat[top]))
-        top = int(back.flat[top])
-    return free[np.array(followed[::-1], dtype=np.int64)]
+    path = best_path(spots.column[free], spots.middle[free], gain, GAP, JUMP_PX, _BEGIN, _MISSED)
+    return free[path]
 
 
 def _pieces(spots: Spots, path: Ints, width_px: float) -> tuple[Ints, Ints]:
