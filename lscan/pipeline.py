@@ -28,7 +28,7 @@ from lscan.measure import (
     unmeasured_distances,
 )
 from lscan.records import BoardReading, Bytes, Floats, Length, Profile, Progress, Status, Surface
-from lscan.stripe.extract import extract_stripes
+from lscan.stripe.extract import extract_stripe
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
 from lscan.surface.alignment import KeptAlignment
 from lscan.surface.shaft import ShaftFit, calibrate_shaft, shaft_of, stack_about
@@ -272,8 +272,7 @@ def read_profiles(
 
     def profiles_of(part: range) -> list[Profile]:
         frames = (run.frame(index) for index in part)
-        shown = ((frame.image, frame.background) for frame in frames)
-        stripes = extract_stripes(shown, rig.stripe)
+        stripes = [extract_stripe(frame.image, rig.stripe, frame.background) for frame in frames]
         return to_profiles(stripes, plane_map, [run.rows[index].position_mm for index in part])
 
     size = min(READ_AT_ONCE, -(-len(run) // cores()) or 1)

@@ -43,7 +43,6 @@ from lscan.records import (
     has_value,
 )
 from lscan.stripe import extract_stripe, find_extractor
-from lscan.stripe.extract import extract_stripes
 from lscan.suites import BoardCase, CaseTruth, ScanCase, SuiteCase
 from lscan.suites.files import AnyCase
 from lscan.surface.surface import Slice, sample, to_profiles
@@ -552,7 +551,7 @@ def _chain_map(case: ScanCase, rig: Rig) -> PlaneMap:
 
 
 def _chain_profiles(case: ScanCase, rig: Rig, plane_map: PlaneMap) -> list[Profile]:
-    stripes = extract_stripes([(frame, None) for frame in case.frames], rig.stripe)
+    stripes = [extract_stripe(frame, rig.stripe) for frame in case.frames]
     return to_profiles(stripes, plane_map, list(rig.plan.positions_mm()))
 
 

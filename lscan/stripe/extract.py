@@ -1,6 +1,5 @@
 """From a picture to the stripe in it: the one function that everybody calls."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -93,27 +92,19 @@ def extract_stripe(
     >>> lscan.extract_stripe(image, lscan.StripeSection()).centre_px
     array([4., 4., 4.])
     """
-    return extract_stripes([(image, background)], settings)[0]
-
-
-def extract_stripes(
-    shown: Iterable[tuple[Bytes, Bytes | None]], settings: StripeSection
-) -> list[Stripe]:
-    """The laser lines in several pictures, as :func:`extract_stripe` finds that in each.
-
-    Parameters
-    ----------
-    shown : iterable of tuple, each picture (array, uint8, DN, grey or RGB), and the same view with
-        the laser off or None; one is taken after the other
-    settings : StripeSection, as for ``extract_stripe``
-
-    Raises
-    ------
-    InputError
-        As ``extract_stripe``.
-    """
     extractor = find_extractor(settings.extractor)
-    return [_extract(extractor, image, settings, background) for image, background in shown]
+    seen = _seen_picture(image, settings, background)
+    known, light, clipped = seen.known, seen.chosen.image.T, seen.chosen.clipped
+    stripe = _call_extractor(extractor, seen.chosen.image, known, clipped)
+    stripe = _mark_saturated(stripe, clipped.T, seen.light.white, known.span_px)
+    stripe = withhold(stripe, seen.chosen.ambiguous)
+    stripe = _doubt_by_target(stripe, seen)
+    stripe = at_least_seen((stripe, light, seen.chosen.crest), known, smooths_along(extractor))
+    stripe = smooth(correct_blur(stripe, known, light), known.smooth_px)
+    # Anywhere up to that on either side: a rectangular distribution (GUM 4.3.7).
+    sigma_px = np.hypot(stripe.sigma_px, seen.light.shift_px / np.sqrt(3))
+    stripe = replace(stripe, sigma_px=sigma_px)
+    return replace(stripe, flux=peaks.core_flux(stripe, light))
 
 
 class _SeenPicture(NamedTuple):
@@ -128,24 +119,6 @@ def _seen_picture(image: Bytes, settings: StripeSection, background: Bytes | Non
     light, known = _light(image, settings, background)
     white = light.white is not None and bool(light.white.any())
     return _SeenPicture(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
-
-
-def _extract(
-    extractor: Extractor, image: Bytes, settings: StripeSection, background: Bytes | None
-) -> Stripe:
-    """The stripe that an extractor finds, with all that it does not know of the picture."""
-    seen = _seen_picture(image, settings, background)
-    known, light, clipped = seen.known, seen.chosen.image.T, seen.chosen.clipped
-    stripe = _call_extractor(extractor, seen.chosen.image, known, clipped)
-    stripe = _mark_saturated(stripe, clipped.T, seen.light.white, known.span_px)
-    stripe = withhold(stripe, seen.chosen.ambiguous)
-    stripe = _doubt_by_target(stripe, seen)
-    stripe = at_least_seen((stripe, light, seen.chosen.crest), known, smooths_along(extractor))
-    stripe = smooth(correct_blur(stripe, known, light), known.smooth_px)
-    # Anywhere up to that on either side: a rectangular distribution (GUM 4.3.7).
-    sigma_px = np.hypot(stripe.sigma_px, seen.light.shift_px / np.sqrt(3))
-    stripe = replace(stripe, sigma_px=sigma_px)
-    return replace(stripe, flux=peaks.core_flux(stripe, light))
 
 
 def _doubt_by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:

@@ -18,7 +18,7 @@ from lscan.config.rig import RigFile
 from lscan.files.pictures import encode_picture
 from lscan.pipeline import READ_AT_ONCE, calibrate_run, reconstruct
 from lscan.records import Floats, Profile
-from lscan.stripe.extract import extract_stripes
+from lscan.stripe.extract import extract_stripe
 from lscan.surface.surface import to_profiles
 from sim.demo import thin_out
 from sim.render.tank import Tank
@@ -174,7 +174,7 @@ def extractor_time(run: Run, plane_map: PlaneMap, extractor: str, bar: float, re
         decoding, frames = time_call(lambda: [run.frame(index) for index in chosen])
 
         def profiles() -> list[Profile]:
-            stripes = extract_stripes(((frame.image, None) for frame in frames), settings)
+            stripes = [extract_stripe(frame.image, settings) for frame in frames]
             return to_profiles(stripes, plane_map, [frame.position_mm for frame in frames])
 
         return decoding / size, time_call(profiles)[0] / size

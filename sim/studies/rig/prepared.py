@@ -27,7 +27,7 @@ from lscan.records import (
     has_value,
     select,
 )
-from lscan.stripe.extract import extract_stripes
+from lscan.stripe.extract import extract_stripe
 from sim.render.layers import Layers
 from sim.render.tank import Tank
 from sim.scene import Scene, at_moment, into_head
@@ -245,7 +245,7 @@ def centres_in(scene: Scene, pictures: list[Bytes]) -> Floats:
     scene : Scene, its rig's ``[stripe]``
     pictures : list of (H, W, 3) array, uint8, DN
     """
-    stripes = extract_stripes(((picture, None) for picture in pictures), scene.rig.stripe)
+    stripes = [extract_stripe(picture, scene.rig.stripe) for picture in pictures]
     return np.stack([np.where(has_value(s.status), s.centre_px, np.nan) for s in stripes])
 
 

@@ -12,7 +12,6 @@ from lscan.config.rig import StripeSection
 from lscan.devices.api import Grab
 from lscan.devices.trials import try_camera
 from lscan.stripe import extract_stripe
-from lscan.stripe.extract import extract_stripes
 from lscan.stripe.picture import is_coded
 from sim.sensor.webcam import from_jpeg, jpeg_bytes
 
@@ -66,21 +65,6 @@ def test_the_stated_noise_is_left_aside_in_coded_pictures_alone():
         stated, estimated = (extract_stripe(seen, given) for given in (SETTINGS, ESTIMATED))
         assert np.array_equal(stated.centre_px, estimated.centre_px, equal_nan=True) == same
         assert np.array_equal(stated.sigma_px, estimated.sigma_px, equal_nan=True) == same
-
-
-def test_coded_pictures_among_others_are_read_as_by_themselves():
-    pictures = [
-        picture_of(3)[1],
-        coded(picture_of(4)[1]),
-        picture_of(5)[1],
-        coded(picture_of(6)[1]),
-    ]
-    together = extract_stripes([(picture, None) for picture in pictures], SETTINGS)
-    for stripe, picture in zip(together, pictures, strict=True):
-        alone = extract_stripe(picture, SETTINGS)
-        # Sums over more lines are added up in another order: some last digits.
-        np.testing.assert_allclose(stripe.centre_px, alone.centre_px, rtol=1e-12)
-        np.testing.assert_allclose(stripe.sigma_px, alone.sigma_px, rtol=1e-12)
 
 
 def test_a_line_in_a_coded_picture_is_where_it_is_within_its_sigma():

@@ -11,7 +11,6 @@ from lscan.config.rig import StripeSection
 from lscan.records import Bytes, Floats, Mask, Stripe
 from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.api import takes_integers
-from lscan.stripe.extract import extract_stripes
 from lscan.stripe.peaks import (
     crests,
     medians,
@@ -60,24 +59,6 @@ def test_windows_hold_the_spots_of_the_whole_picture(image: Bytes, threshold_dn:
     if found is not None:
         for name, values in vars(whole).items():
             np.testing.assert_allclose(vars(found)[name], values, rtol=1e-6, err_msg=name)
-
-
-@pytest.mark.parametrize("name", ["ml", "max", "centroid", "centroid-relative"])
-@examples(8)
-@given(images=st.lists(pictures, min_size=2, max_size=4), cut=st.integers(0, 1))
-def test_lines_found_together_are_those_of_each_picture(
-    name: str, images: list[Bytes], cut: int
-) -> None:
-    images.append(np.zeros_like(images[0])[:, cut:])
-    chosen = StripeSection(extractor=name)
-    together = extract_stripes([(image, None) for image in images], chosen)
-    for image, stripe in zip(images, together, strict=True):
-        alone = extract_stripe(image, chosen)
-        np.testing.assert_array_equal(stripe.status, alone.status)
-        # Sums over more pixels, of weight 0, are rounded otherwise: far less than a millionth.
-        np.testing.assert_allclose(stripe.centre_px, alone.centre_px, rtol=0, atol=1e-6)
-        np.testing.assert_allclose(stripe.sigma_px, alone.sigma_px, rtol=1e-6)
-        np.testing.assert_array_equal([stripe.peak, stripe.flux], [alone.peak, alone.flux])
 
 
 def test_one_line_needs_no_more_than_its_windows() -> None:
