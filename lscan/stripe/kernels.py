@@ -72,7 +72,7 @@ def compile_all() -> None:
     noise, precision = np.array([1.0, 0.0, 0.0]), np.ones((1, PARAMETERS))
     fit_columns(line, -1.0, window, np.zeros(1), used, ~used, noise, line, precision)
     lines_at(line, -1.0, 3)
-    for kind in (np.uint8, np.int16):
+    for kind in (np.uint8, np.int16, np.float32, np.float64):
         weighted_moments(np.ones((1, 9), kind), np.zeros(1, np.int64), np.array([4.0]), 1.0)
     one = np.zeros(1, np.int64)
     linked_runs(one, one, one, 1)

@@ -142,10 +142,6 @@ def test_own_noise_of_the_alignment_is_what_repeating_the_scan_scatters() -> Non
 # Grid cells
 
 
-def cell_at(grid: HeightGrid, x: float, y: float) -> tuple[int, int]:
-    return int(np.argmin(np.abs(grid.y_mm - y))), int(np.argmin(np.abs(grid.x_mm - x)))
-
-
 def test_cells_are_the_shape_where_it_is_a_quadratic() -> None:
     """A closed form: a quadratic is fitted without error, and weights add up to 1."""
     rng = np.random.default_rng(3)

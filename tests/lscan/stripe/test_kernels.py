@@ -1,0 +1,80 @@
+"""Compiled loops against closed forms and against every possibility tried out."""
+
+import os
+import subprocess
+import sys
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from drawn_examples import examples
+from hypothesis import given, strategies as st
+from lines_drawn import drawn
+
+from lscan.stripe.kernels import best_path, linked_runs, weighted_moments
+
+ROWS = np.arange(4)
+
+
+def spots(*places: tuple[int, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows."""
+    column, row = np.array(places).T
+    return column.astype(np.int64), row.astype(np.int64)
+
+
+def test_runs_go_on_over_gaps_and_through_the_nearest_spot() -> None:
+    """Two lines, 3 px high, one with a gap of two columns, and a spot beyond the longest gap."""
+    column, row = spots((0, 10), (0, 30), (1, 11), (1, 15), (1, 30), (4, 11), (4, 31), (9, 12))
+    assert linked_runs(column, row - 1, row + 1, 4).tolist() == [0, 1, 0, 2, 1, 0, 1, 3]
+    assert linked_runs(column, row - 1, row + 1, 2).tolist() == [0, 1, 0, 2, 1, 3, 4, 5]
+    assert len(linked_runs(column[:0], row[:0], row[:0], 4)) == 0
+
+
+@examples(60)
+@given(
+    places=st.lists(st.tuples(st.integers(0, 6), st.integers(0, 40)), min_size=1, max_size=8),
+    seed=st.integers(0, 2**31),
+)
+def test_no_path_has_a_higher_sum(places: list[tuple[int, int]], seed: int) -> None:
+    """Of all there are, each column once: gains, less the moves, the gaps and new beginnings."""
+    column, row = spots(*sorted(places))
+    gain, begin, missed = np.random.default_rng(seed).uniform(-0.3, 0.7, len(row)), 0.4, 0.1
+
+    def worth(path: tuple[int, ...]) -> float:
+        total = gain[list(path)].sum() - begin
+        for one, other in pairwise(path):
+            apart = column[other] - column[one]
+            step = min(abs(row[other] - row[one]) / (3.0 * apart), begin) + missed * (apart - 1)
+            total -= min(step, begin) if apart <= 4 else begin
+        return float(total)
+
+    paths = [
+        path
+        for length in range(1, len(row) + 1)
+        for path in combinations(range(len(row)), length)
+        if np.all(np.diff(column[list(path)]) > 0)
+    ]
+    found = tuple(best_path(column, row.astype(float), gain, 4, 3.0, begin, missed))
+    most = max(map(worth, paths))
+    assert worth(found) == pytest.approx(most, abs=1e-9) if found else most <= 1e-9
+
+
+@pytest.mark.parametrize("kind", [np.uint8, np.int16, np.float64])
+def test_moments_of_a_gaussian_line_are_known(kind: type) -> None:
+    """Its middle, and of its variance w², with a pixel's 1/12, s² w² / (s² + w²) over s²."""
+    centre, width, scale = np.array([20.0, 20.25, 20.5, 21.1]), 1.6, 2.0
+    columns = np.ascontiguousarray(drawn(centre, width, 60, 200.0).T).astype(kind)
+    middle, squared, total = weighted_moments(columns, ROWS, np.full(4, 20.0), scale)
+    seen = width**2 + 1 / 12
+    np.testing.assert_allclose(middle, centre, atol=0.01)
+    np.testing.assert_allclose(squared, seen / (scale**2 + seen), rtol=0.01)
+    height = 200.0 * width / np.sqrt(seen)
+    expected = height * np.sqrt(2 * np.pi / (1 / scale**2 + 1 / seen))
+    np.testing.assert_allclose(total, expected, rtol=0.01)
+    assert np.isnan(weighted_moments(columns, ROWS, np.full(4, 50.0), scale)).all()
+
+
+def test_loops_run_without_a_compiler_too() -> None:
+    code = "from lscan.stripe.kernels import compile_all; compile_all()"
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=60)
