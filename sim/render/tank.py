@@ -52,7 +52,7 @@ class Tank:
     """
 
     @flushing()
-    def __init__(self, scene: Scene, *, sampled: bool = False) -> None:
+    def __init__(self, scene: Scene, *, sampled: bool = False, water_step: float = 0.0) -> None:
         """Load meshes and plugins.
 
         Parameters
@@ -60,6 +60,9 @@ class Tank:
         scene : Scene, all of it; the head may move later, by ``place``
         sampled : bool, the laser's light of the first order gets its samples in every pixel, not
             only where it is uneven
+        water_step : float, relative, to which the water's coefficients are rounded for its light of
+            higher orders: tanks of nearly the same water then have the same tables, which take
+            seconds to make
 
         Raises
         ------
@@ -67,6 +70,7 @@ class Tank:
             A mesh or a picture cannot be read.
         """
         self.scene = self._built = scene
+        self._water_step = water_step
         self._anew, self._scales = False, (np.float32(1), np.float32(1))
         laser = scene.tank.laser
         self._lines = laser.sheets if laser.on else ()
@@ -352,7 +356,7 @@ class Tank:
                 self.integrator,
                 self._sparse.rays,
                 head,
-                self.water,
+                self.water.rounded(self._water_step),
                 [head_pose(head, place_mm) for place_mm in np.linspace(*ends, PLACES)],
             )
 

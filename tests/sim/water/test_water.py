@@ -199,3 +199,24 @@ def test_light_out_of_range_is_refused_for_want_of_absorption(nm):
     for water in (Water(), Water(kind="harbor"), Water(absorption_per_m=1, scattering_per_m=1)):
         with pytest.raises(InputError, match=r"wavelength_nm.*got.*allowed: 450 to 700"):
             water_optics(water, nm)
+
+
+@examples(30)
+@given(
+    step=st.floats(1e-3, 0.2), psu=st.floats(0, 35), t=st.floats(10, 30), particles=st.floats(0, 5)
+)
+def test_a_rounded_water_is_half_a_step_off_at_most(step, psu, t, particles):
+    water = Water(temperature_c=t, salinity_psu=psu, particle_scattering_per_m=particles)
+    whole = water_optics(water, 650.0)
+    near = whole.rounded(step)
+    for name in ("absorption_per_mm", "scattering_per_mm", "molecular_weight"):
+        ratio = getattr(near, name) / getattr(whole, name)
+        assert (1 + step) ** -0.5 <= ratio * (1 + 1e-12) and ratio <= (1 + step) ** 0.5 + 1e-12
+    assert near.index == whole.index and near.rounded(step) == near
+    assert whole.rounded(0.0) == whole
+
+
+def test_rounded_waters_of_a_study_are_few():
+    kinds = (Water(salinity_psu=psu) for psu in np.linspace(0, 5, 200))
+    waters = [water_optics(kind, 650.0).rounded(0.01) for kind in kinds]
+    assert 1 < len({(w.extinction_per_mm, w.scattering_per_mm) for w in waters}) < 12
