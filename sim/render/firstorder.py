@@ -531,10 +531,9 @@ class SparseLaserLight:
 
 
 def _grown(mask: NDArray[np.uint8], radius_px: float) -> NDArray[np.uint8]:
-    """A mask grown by a disc."""
-    pixels = int(np.ceil(radius_px))
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * pixels + 1, 2 * pixels + 1))
-    return np.asarray(cv2.dilate(mask, disc), np.uint8)
+    """A mask grown by a disc, in the same time whatever its size."""
+    far = cv2.distanceTransform(1 - mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return np.asarray(far <= np.ceil(radius_px), np.uint8)
 
 
 def _stride(count: int) -> int:
