@@ -10,7 +10,7 @@ import numpy as np
 from numba.core import event
 from scipy.special import ndtr
 
-from lscan.records import Floats, GreyValues, Ints, Mask
+from lscan.records import Floats, GreyValues, Ints, Mask, Singles
 
 _log = logging.getLogger(__name__)
 
@@ -66,15 +66,36 @@ def compiled_sums(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return compiled(function, {"reassoc", "contract", "nsz"})
 
 
+def compiled_order(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """As ``compiled``, of values that are compared, several at once; none is NaN.
+
+    Parameters
+    ----------
+    function : callable, as of ``compiled``
+    """
+    return compiled(function, {"nnan", "nsz", "contract"})
+
+
 def compile_all() -> None:
     """Compile all loops, for the processes that follow."""
     line, window, used = np.zeros((1, PARAMETERS)), np.zeros((1, 3)), np.ones((1, 3), np.bool_)
     noise, precision = np.array([1.0, 0.0, 0.0]), np.ones((1, PARAMETERS))
     fit_columns(line, -1.0, window, np.zeros(1), used, ~used, noise, line, precision)
     lines_at(line, -1.0, 3)
+    one, bell = np.zeros(1, np.int64), np.ones(3, np.float32)
     for kind in (np.uint8, np.int16, np.float32, np.float64):
-        weighted_moments(np.ones((1, 9), kind), np.zeros(1, np.int64), np.array([4.0]), 1.0)
-    one = np.zeros(1, np.int64)
+        columns = np.ones((1, 9), kind)
+        weighted_moments(columns, one, np.array([4.0]), 1.0)
+        total_profile(columns, one, one, 1)
+    for kind in (np.uint8, np.int16):
+        crests_of(np.ones((1, 9), kind))
+        order_statistics(np.ones((1, 9), kind), 4, 0, 1)
+    for kind in (np.uint8, np.float32):
+        columns = np.ones((1, 9), kind)
+        find_spots(columns, columns, 1.0, 3, False, bell, 1)
+    centroids(window, window, np.zeros(1), 0, 1.0, 0.0, 1.0)
+    third_differences(np.zeros(1), one, 1)
+    core_variance(np.ones(1), 0.0, 1, 1.0)
     linked_runs(one, one, one, 1)
     best_path(one, np.zeros(1), np.zeros(1), 1, 1.0, 1.0, 1.0)
 
@@ -342,7 +363,167 @@ def solve_factorised(matrix: Floats, right: Floats) -> None:
         right[i] /= matrix[i, i]
 
 
-# Moments of the light across a line (scatter.py).
+# The centre by the paper's rules (rules.py).
+
+
+@compiled_sums
+def centroids(
+    wide: Floats,
+    around: Floats,
+    base: Floats,
+    rule: int,
+    constant: float,
+    per_dn: float,
+    averaged: float,
+) -> tuple[Floats, Floats]:
+    """Offset in px, and its variance in px², of the line in K columns from the middle pixel.
+
+    Parameters
+    ----------
+    wide : (K, n + 2) array, DN, the pixels that the rule sees, and one more on either side
+    around : (K, m) array, DN, smoothed, where the brightest pixel might have been as well
+    base : (K,) array, DN, the columns' background
+    rule : int, 0 for the middle pixel, 1 for the centroid, 2 for that of relative values
+    constant, per_dn : float, DN² and DN, of the pixels' noise, as in ``picture.Noise``
+    averaged : float, pixels that one of ``around`` is the mean of
+
+    References
+    ----------
+    Eq. (8) of the paper; ``rules.centroid`` says what the variance holds.
+    """
+    count, size = len(wide), wide.shape[1] - 2
+    reach, far = size // 2, around.shape[1] // 2
+    offsets, variances = np.empty(count), np.empty(count)
+    slope, spare = np.empty(size), np.empty(size)
+    for k in range(count):
+        window = wide[k, 1:-1]
+        offset = _centroid(window, rule, slope)
+        variance = 0.0
+        for p in range(size):
+            variance += slope[p] ** 2 * (constant + per_dn * max(window[p] - base[k], 0.0))
+        # Another brightest pixel: those that might have been it, and how far the brighter of the
+        # neighbours would move the centre.
+        crest = constant + per_dn * max(window[reach] - base[k], 0.0)
+        least, near, first, second = around[k, far] - 2 * sqrt(crest / averaged), 0, 0.0, 0.0
+        for p in range(2 * far + 1):
+            if around[k, p] >= least:
+                near, first, second = near + 1, first + (p - far), second + (p - far) ** 2
+        spread = second / near - (first / near) ** 2 + 1 / 12  # each is a pixel wide
+        step = 1 if wide[k, reach + 2] >= wide[k, reach] else -1
+        moved = step + _centroid(wide[k, 1 + step : 1 + step + size], rule, spare)
+        variance += _at_most_one(moved - offset) ** 2 * spread
+        if rule == 2:
+            for p in range(size):
+                spare[p] = window[p] - base[k]
+            variance += _at_most_one(_centroid(spare, 1, slope) - offset) ** 2 / 6
+        offsets[k], variances[k] = offset, variance
+    return offsets, variances
+
+
+@compiled_sums
+def _centroid(window: Floats, rule: int, slope: Floats) -> float:
+    """The centre by a rule, px from the middle; ``slope`` becomes its derivative by each pixel.
+
+    NaN where the weights have no positive sum.
+    """
+    size = len(window)
+    reach, lowest, total, moment = size // 2, 0, 0.0, 0.0
+    if rule == 0:
+        slope[:] = 0.0
+        return 0.0
+    if rule == 2:
+        for p in range(size):
+            lowest = p if window[p] < window[lowest] else lowest
+    floor = window[lowest] if rule == 2 else 0.0
+    for p in range(size):
+        total += window[p] - floor
+        moment += (window[p] - floor) * (p - reach)
+    offset = moment / total if total > 0 else np.nan
+    whole = 0.0
+    for p in range(size):
+        slope[p] = (p - reach - offset) / total
+        whole += slope[p]
+    if rule == 2:  # the lowest is taken off all weights, and moves the centroid through all
+        slope[lowest] -= whole
+    return offset
+
+
+@compiled
+def _at_most_one(step: float) -> float:
+    """A pixel too where it is not known."""
+    return min(abs(step), 1.0) if abs(step) == abs(step) else 1.0
+
+
+# How far values scatter along a line, and the light across it (scatter.py, picture.py).
+
+
+@compiled
+def third_differences(values: Floats, run: Ints, lag: int) -> tuple[Ints, Floats]:
+    """Of four values ``lag`` entries apart in one piece: the first one's index, their difference.
+
+    Parameters
+    ----------
+    values : (N,) array, of any unit
+    run : (N,) array, number of the piece that each belongs to, -1 for none
+    lag : int, entries
+    """
+    at, found, count = np.empty(len(run), np.int64), np.empty(len(run)), 0
+    for i in range(len(run) - 3 * lag):
+        one = run[i]
+        if one >= 0 and run[i + lag] == one == run[i + 2 * lag] and run[i + 3 * lag] == one:
+            at[count] = i
+            found[count] = values[i] - values[i + 3 * lag]
+            found[count] += 3 * (values[i + 2 * lag] - values[i + lag])
+            count += 1
+    return at[:count], found[:count]
+
+
+@compiled
+def total_profile(columns: GreyValues, at: Ints, rows: Ints, reach: int) -> Floats:
+    """(2 reach + 1,) DN, sum of the pixels about a row of each of some columns.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    at, rows : (K,) array, px, the columns and the middle row of each
+    reach : int, px; beyond the picture its last pixel is repeated
+    """
+    total, last = np.zeros(2 * reach + 1), columns.shape[1] - 1
+    for k in range(len(at)):
+        begin = rows[k] - reach
+        if begin >= 0 and begin + 2 * reach <= last:
+            grey = columns[at[k], begin : begin + 2 * reach + 1]
+            for p in range(2 * reach + 1):
+                total[p] += grey[p]
+        else:
+            for p in range(2 * reach + 1):
+                total[p] += columns[at[k], min(max(begin + p, 0), last)]
+    return total
+
+
+@compiled
+def core_variance(sizes: Floats, least: float, cuts: int, kept: float) -> float:
+    """The variance that ``picture.robust_variance`` says, of rising sizes, one or more.
+
+    Parameters
+    ----------
+    sizes : (N,) array, rising, of any unit
+    least : float, where the search starts if most values agree
+    cuts : int, turns
+    kept : float, share of a normal distribution's variance that lies within 3 sigma
+    """
+    count = len(sizes)
+    middle = (sizes[(count - 1) // 2] + sizes[count // 2]) / 2
+    variance = max((1.4826 * middle) ** 2, least)
+    for _ in range(cuts):
+        limit, total, inside = 3 * sqrt(variance), 0.0, 0
+        while inside < count and sizes[inside] <= limit:
+            total += sizes[inside] ** 2
+            inside += 1
+        if inside == 0:
+            break
+        variance = total / inside / kept
+    return variance
 
 
 _STEPS = 4  # from a pixel beside the line, to a hundredth of a pixel
@@ -388,6 +569,281 @@ def weighted_moments(columns: GreyValues, at: Ints, centre: Floats, scale: float
         else:
             found[1:, k] = np.nan
     return found
+
+
+# Ranks of the pixels of a column (peaks.py).
+
+
+@compiled_order
+def crests_of(columns: GreyValues) -> Ints:
+    """(W,) row of the highest value of each column, as ``peaks.crests``, of whole numbers.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    """
+    rows = np.zeros(len(columns), np.int64)
+    for c in range(len(columns)):
+        grey = columns[c]
+        highest, p = _greatest(grey), 0
+        while p + _ROWS <= len(grey) and _greatest(grey[p : p + _ROWS]) < highest:
+            p += _ROWS
+        while grey[p] < highest:
+            p += 1
+        rows[c] = p
+    return rows
+
+
+@compiled_order
+def order_statistics(columns: GreyValues, rank: int, least: int, most: int) -> Floats:
+    """(W,) DN, of each column the value that ``peaks.order_statistic`` says, of whole numbers.
+
+    To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
+    at the column before and goes from there in steps twice as long each.
+
+    Parameters
+    ----------
+    columns : (W, H) array, DN, one column of the picture a row
+    rank : int, 0 for the lowest, below H
+    least, most : int, DN, of all pixels
+    """
+    values, middle = np.empty(len(columns)), least
+    for c in range(len(columns)):
+        low, high, step = least, most, 1
+        while low < high:
+            if _count_up_to(columns[c], middle) > rank:
+                high = middle
+                middle = max(middle - step, (low + high) // 2)
+            else:
+                low = middle + 1
+                middle = min(middle + step, (low + high) // 2)
+            step *= 2
+        values[c] = middle = low
+    return values
+
+
+@compiled_order
+def _count_up_to(values: GreyValues, limit: int) -> int:
+    count = np.int32(0)  # a short one, so that many pixels are compared at a time
+    for p in range(len(values)):
+        count += np.int32(values[p] <= limit)
+    return count
+
+
+@compiled_order
+def _greatest(values: GreyValues) -> float:
+    """A camera's grey values are compared many at a time, floats are not."""
+    found = values[0]
+    for p in range(len(values)):
+        found = max(found, values[p])
+    return found
+
+
+@compiled_order
+def _least(values: GreyValues) -> float:
+    found = values[0]
+    for p in range(len(values)):
+        found = min(found, values[p])
+    return found
+
+
+# Spots across a column (peaks.py).
+
+
+_ROOM_PX = 16
+"""To either side of a stretch of bright pixels, where the feet of its spots are looked for.  A line
+of half the threshold's light is no spot, so that few feet lie far from bright pixels."""
+_ROWS = 32  # a column is searched for bright pixels so many at a time
+_CLOSED_PX = 2  # speckle breaks the flanks of wide lines by so much
+_HIGHEST = np.float32(np.finfo(np.float32).max)
+
+
+@compiled_order
+def find_spots(
+    columns: GreyValues,
+    opened: GreyValues,
+    threshold_dn: float,
+    ground_px: int,
+    sharp: bool,
+    bell: Singles,
+    reach_px: int,
+) -> tuple[Ints, Floats]:
+    """Column, top and bottom (3, K), light and peak (2, K) of the spots of ``peaks.spots_of``.
+
+    No ground lies below the least pixel of its column, so that every spot holds a pixel that
+    exceeds that by the threshold.  Such pixels are brought together in stretches, and each stretch
+    is looked at with all that its spots depend on.
+
+    Parameters
+    ----------
+    columns : (W, H) array, uint8 or single precision, DN, one column of the picture a row
+    opened : (W, H) array, DN, the same, or smoothed: of which the ground is found
+    threshold_dn : float, DN, by which a spot exceeds the ground
+    ground_px : int, odd, px, what is wider is ground
+    sharp : bool, whether the ground is that of the columns not smoothed with ``bell``
+    bell : (2 n + 1,) array, weights of a symmetric smoothing
+    reach_px : int, px, a spot is where the light exceeds half of its highest value so near by
+    """
+    width, height = columns.shape
+    half, feather = ground_px // 2, len(bell) // 2
+    room = height + 4 * half + 2 * reach_px + 2 * feather + _ROWS
+    smooth, ground = np.empty(room, np.float32), np.empty(room, np.float32)
+    light, one, other = ground.copy(), ground.copy(), ground.copy()
+    inside = np.zeros(room, np.bool_)
+    place, strength, count = np.empty((3, width), np.int64), np.empty((2, width)), 0
+    faint = np.float32(threshold_dn / 4)
+    for c in range(width):
+        grey, base = columns[c], opened[c]
+        limit = _least(base) + max(threshold_dn - 1, 0.0)
+        bottom, whole, before = -1, False, count
+        while True:
+            if whole:
+                first, end = 0, height
+            else:
+                top, bottom = _bright_stretch(grey, bottom + 1, limit)
+                if top == height:
+                    break
+                first, end = max(top - _ROOM_PX, 0), min(bottom + _ROOM_PX + 1, height)
+            near, beyond = max(first - reach_px, 0), min(end + reach_px, height)
+            outer, last = max(near - 2 * half, 0), min(beyond + 2 * half, height)
+            _smoothed(base, outer, last, bell, one, smooth)
+            # What the ground is the opening of: the least about each pixel, of these the highest.
+            begin, after = max(near - half, 0), min(beyond + half, height)
+            if sharp:
+                _framed(base, 0, begin - half, after + half, 1.0, one)
+            else:
+                seen = smooth[: last - outer]
+                _framed(seen, outer, begin - half, after + half, 1.0, one)
+            least = _least_of_windows(one, other, after - begin + 2 * half, ground_px)
+            _framed(least[: after - begin], begin, near - half, beyond + half, -1.0, light)
+            size = beyond - near
+            minus_ground = _least_of_windows(light, ground, size + 2 * half, ground_px)
+            lit = smooth[near - outer : beyond - outer]
+            for p in range(size):
+                lit[p] += minus_ground[p]
+            _framed(lit, near, first - reach_px, end + reach_px, -1.0, one)
+            around = _least_of_windows(one, other, end - first + 2 * reach_px, 2 * reach_px + 1)
+            here = lit[first - near : end - near]
+            for p in range(end - first):
+                inside[p] = (here[p] > faint) & (2 * here[p] > -around[p])
+            inside[end - first] = False
+            cut, begin, after = False, -1, -1
+            for p in range(first, end + 1):
+                if inside[p - first]:
+                    begin, after = p if begin < 0 else begin, p + 1
+                elif begin >= 0 and (p == end or p - after >= _CLOSED_PX):
+                    begin = 0 if begin == 1 else begin
+                    after = height if after == height - 1 else after
+                    total, peak = 0.0, -_HIGHEST
+                    for q in range(begin, after):
+                        above = grey[q] + minus_ground[q - near]
+                        total += above
+                        peak = max(peak, above)
+                    if peak > threshold_dn:
+                        cut |= 0 < first >= begin - _CLOSED_PX
+                        cut |= height > end <= after + _CLOSED_PX
+                        if count == place.shape[1]:
+                            place, strength = _doubled(place), _doubled(strength)
+                        place[0, count], place[1, count], place[2, count] = c, begin, after - 1
+                        strength[0, count], strength[1, count] = total, peak
+                        count += 1
+                    begin = -1
+            if whole:
+                break
+            if cut:  # a spot reaches farther than was looked
+                whole, count = True, before
+    return place[:, :count], strength[:, :count]
+
+
+@compiled_order
+def _bright_stretch(grey: GreyValues, start: int, limit: float) -> tuple[int, int]:
+    """First and last of the next pixels above the limit, none farther from the next than two rooms.
+
+    The length of the column where there is none.
+    """
+    height, p = len(grey), start
+    while p < height:
+        if p + _ROWS <= height and not _greatest(grey[p : p + _ROWS]) > limit:
+            p += _ROWS
+        elif grey[p] > limit:
+            break
+        else:
+            p += 1
+    top = bottom = p
+    while p < min(bottom + 2 * _ROOM_PX + 1, height):
+        bottom = p if grey[p] > limit else bottom
+        p += 1
+    return top, bottom
+
+
+@compiled_order
+def _smoothed(
+    column: GreyValues, first: int, end: int, bell: Singles, spare: Singles, out: Singles
+) -> None:
+    """Some pixels of a column, smoothed; it is mirrored about its end pixels."""
+    half, last, count = len(bell) // 2, len(column) - 1, end - first
+    _framed(column, 0, first - half, end + half, 1.0, spare)
+    for p in range(first - half, 0):
+        spare[p - first + half] = column[min(-p, last)]
+    for p in range(last + 1, end + half):
+        spare[p - first + half] = column[max(2 * last - p, 0)]
+    middle = spare[half:]
+    for i in range(count):
+        out[i] = bell[half] * middle[i]
+    for k in range(1, half + 1):
+        before, after, weight = spare[half - k :], spare[half + k :], bell[half + k]
+        for i in range(count):
+            out[i] += weight * (before[i] + after[i])
+
+
+@compiled_order
+def _framed(
+    values: GreyValues, begin: int, first: int, end: int, sign: float, out: Singles
+) -> None:
+    """Pixels from ``first`` to ``end``, of values that start at ``begin``; beyond them the highest.
+
+    So the least of a window is that of the part of it that there is.
+    """
+    inner, outer = max(first, begin), min(end, begin + len(values))
+    out[: inner - first] = _HIGHEST
+    out[outer - first : end - first] = _HIGHEST
+    here, there, factor = values[inner - begin :], out[inner - first :], np.float32(sign)
+    for i in range(outer - inner):
+        there[i] = factor * here[i]
+
+
+@compiled_order
+def _least_of_windows(values: Singles, spare: Singles, count: int, size: int) -> Singles:
+    """The least of each window of ``size`` of so many values, in one of the two arrays.
+
+    Of windows twice as long each time.
+    """
+    have, turned = 1, False
+    while have < size:
+        step = min(have, size - have)
+        count -= step
+        if turned:
+            _lesser(spare, spare[step:], values, count)
+        else:
+            _lesser(values, values[step:], spare, count)
+        turned, have = not turned, have + step
+    return spare if turned else values
+
+
+@compiled_order
+def _lesser(one: Singles, other: Singles, out: Singles, count: int) -> None:
+    for i in range(count):
+        out[i] = one[i] if one[i] < other[i] else other[i]
+
+
+@compiled
+def _doubled(table: Any) -> Any:
+    """A table (n, K) with room for twice as many columns."""
+    longer = np.empty((len(table), 2 * table.shape[1]), table.dtype)
+    for i in range(len(table)):  # to assign a slice takes six seconds to compile
+        for k in range(table.shape[1]):
+            longer[i, k] = table[i, k]
+    return longer
 
 
 # Runs of spots side by side (peaks.py).

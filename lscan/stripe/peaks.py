@@ -10,12 +10,15 @@ from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Singles, Status, Stripe, has_value, select
-from lscan.stripe.kernels import linked_runs
+from lscan.stripe.kernels import (
+    crests_of,
+    find_spots,
+    linked_runs,
+    order_statistics,
+    total_profile,
+)
 
 # Values of a rank in the columns of a picture: the highest, and the median.
-
-
-_SPARSE = 8  # a first guess is made of every eighth pixel of every eighth column
 
 
 def crests(columns: GreyValues) -> Ints:
@@ -30,9 +33,8 @@ def crests(columns: GreyValues) -> Ints:
     >>> crests(np.array([[7, 3, 200, 200]], dtype=np.uint8))
     array([2])
     """
-    # NumPy finds the place of the highest float sooner than that of the highest integer.
-    floats = columns if columns.dtype == np.float64 else columns.astype(np.float32)
-    return floats.argmax(axis=1)
+    whole = np.issubdtype(columns.dtype, np.integer)
+    return crests_of(columns) if whole else columns.argmax(axis=1)
 
 
 def order_statistic(columns: GreyValues, rank: int) -> Floats:
@@ -51,22 +53,7 @@ def order_statistic(columns: GreyValues, rank: int) -> Floats:
     """
     if not np.issubdtype(columns.dtype, np.integer):
         return _float_order_statistic(columns.astype(np.float32, copy=False), rank)
-    # To count the pixels up to a grey value takes a thirtieth of a partial sort.  The search begins
-    # at a value that most columns are near to, and goes from there in steps twice as long each.
-    sample = columns[::_SPARSE, ::_SPARSE].ravel()
-    place = rank * sample.size // columns.shape[1]
-    start = int(np.partition(sample, place)[place])
-    middle, step = np.full(len(columns), start), 1
-    least, most = (np.full(len(columns), int(end)) for end in (columns.min(), columns.max()))
-    while True:
-        up_to = (columns <= middle.astype(columns.dtype)[:, None]).view(np.uint8)
-        enough = cv2.reduce(up_to, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)[:, 0] > rank
-        least, most = np.where(enough, least, middle + 1), np.where(enough, middle, most)
-        if (least >= most).all():
-            return least.astype(np.float64)
-        half = (least + most) // 2
-        near = np.where(enough, np.maximum(most - step, half), np.minimum(least + step - 1, half))
-        middle, step = near, 2 * step
+    return order_statistics(columns, rank, int(columns.min()), int(columns.max()))
 
 
 def _float_order_statistic(columns: Singles, rank: int) -> Floats:
@@ -340,10 +327,10 @@ def line_width(columns: GreyValues, at: Ints, crest: Ints, stated_px: float | No
     if stated_px is not None:
         return max(stated_px / FWHM, _NARROWEST_PX)
     reach = min(_REACH_PX, columns.shape[1] - 1)
-    width = _profile_width(windows(columns, at, crest, reach))
+    width = _profile_width(total_profile(columns, at, crest, reach) / len(at))
     for _ in range(_TURNS):
         crest = smoothed_crests(columns, at, crest, width)
-        wider = _profile_width(windows(columns, at, crest, reach))
+        wider = _profile_width(total_profile(columns, at, crest, reach) / len(at))
         if wider < _WIDER * width:
             break
         width = wider
@@ -368,9 +355,9 @@ def smoothed_crests(columns: GreyValues, at: Ints, crest: Ints, width_px: float)
     return found
 
 
-def _profile_width(seen: Floats) -> float:
-    """The same of windows (K, n) with the brightest pixels in the middle."""
-    profile, reach = seen.mean(axis=0), seen.shape[1] // 2
+def _profile_width(profile: Floats) -> float:
+    """The same of a profile (n,) with the brightest pixel in the middle."""
+    reach = len(profile) // 2
     half = (profile[reach] + profile.min()) / 2
     fwhm = _reach(profile[reach:], half) + _reach(profile[reach::-1], half)
     return max(fwhm / FWHM, _NARROWEST_PX)
@@ -528,11 +515,7 @@ GAP = 4
 """Columns that speckle or a dark grain may take out of a run."""
 
 _SMOOTHING_PX = 1.0  # as wide as a narrow line: speckle must not split a spot in two
-_SEEN_PX = GROUND_PX - 1 + 4  # to either side of a pixel: what its ground depends on, smoothed
-_ROOM_PX = 16
-"""To either side of a stretch of bright pixels, where the feet of its spots are looked for.  A line
-of half the threshold's light is no spot, so that few feet lie far from bright pixels."""
-_SURE_PX = _ROOM_PX - REACH_PX - 3  # a foot so far out is found as in the whole column
+_BELL = np.asarray(cv2.getGaussianKernel(9, _SMOOTHING_PX, cv2.CV_32F), np.float32).ravel()
 MOST_SPOTS = 32
 """Of a column: those of the most light.  In a picture of noise each of thousands of rows may hold
 one, and spots are compared in pairs."""
@@ -562,7 +545,6 @@ def relief_of(
     columns: GreyValues,
     ground_px: int = GROUND_PX,
     sharp: bool = False,
-    rows: slice = slice(None),
     width_px: float | None = None,
 ) -> Relief:
     """The columns with the ground beneath their lines.
@@ -572,27 +554,20 @@ def relief_of(
     columns : (W, H) array, DN, one column of the picture a row
     ground_px : int, odd, px, what is wider along the column is ground
     sharp : bool, whether the ground is that of the columns as they are, not smoothed
-    rows : slice, of the columns, which are wanted
     width_px : float, optional, px, full width of the line, where it is stated: no ground is
         narrower than two and a half times that, down to 1.3 % of a Gaussian's height
     """
-    ground_px = max(ground_px, 2 * int(_HELD_WIDTHS * (width_px or 0) / 2) + 1)
     single = smoothed_by_width(columns, width_px).astype(np.float32, copy=False)
     blurred = cv2.GaussianBlur(single, (0, 1), sigmaX=_SMOOTHING_PX, sigmaY=_SMOOTHING_PX)
     smoothed = np.asarray(cv2.transpose(blurred), np.float32)
     opened = np.ascontiguousarray(single.T) if sharp else smoothed
-    ground = _opening(opened, ground_px, rows)
-    return Relief(columns[:, rows], smoothed[rows].T, ground.T)
+    along = np.ones((_ground_px(ground_px, width_px), 1), np.uint8)
+    ground = np.asarray(cv2.morphologyEx(opened, cv2.MORPH_OPEN, along), np.float32)
+    return Relief(columns, smoothed.T, ground.T)
 
 
-def _opening(values: Singles, size: int, rows: slice) -> Singles:
-    """Some of (H, W) rows after a grey-scale opening over ``size`` of them; edges cut it short."""
-    first, last, _ = rows.indices(len(values))
-    begin = max(first - size + 1, 0)
-    opened = cv2.morphologyEx(
-        values[begin : last + size - 1], cv2.MORPH_OPEN, np.ones((size, 1), np.uint8)
-    )
-    return np.asarray(opened[first - begin : last - begin], np.float32)
+def _ground_px(ground_px: int, width_px: float | None) -> int:
+    return max(ground_px, 2 * int(_HELD_WIDTHS * (width_px or 0) / 2) + 1)
 
 
 @dataclass(frozen=True)
@@ -624,83 +599,28 @@ class Spots:
         return (self.top + self.bottom) / 2
 
 
-def spots_of(relief: Relief, threshold_dn: float) -> Spots:
+def spots_of(
+    columns: GreyValues,
+    threshold_dn: float,
+    ground_px: int = GROUND_PX,
+    sharp: bool = False,
+    width_px: float | None = None,
+) -> Spots:
     """The spots of all columns whose highest value exceeds the ground by the threshold.
-
-    Parameters
-    ----------
-    relief : Relief, DN, of W columns
-    threshold_dn : float, DN
-    """
-    columns, ground = relief.columns, relief.ground
-    light = relief.smoothed.T - ground.T
-    around = np.asarray(cv2.dilate(light, np.ones((2 * REACH_PX + 1, 1), np.uint8)))
-    inside = np.asarray((light > around / 2) & (light > threshold_dn / 4), np.uint8)
-    # Speckle breaks the flanks of wide lines: gaps of two rows are closed.
-    closed = cv2.morphologyEx(inside, cv2.MORPH_CLOSE, np.ones((3, 1), np.uint8))
-    count, height = columns.shape
-    apart = np.zeros(count * (height + 1) + 1, dtype=np.int8)  # nothing between two columns
-    apart[1:].reshape(count, height + 1)[:, :-1] = cv2.transpose(closed)
-    edge = np.diff(apart)
-    column, top = np.divmod(np.flatnonzero(edge > 0), height + 1)
-    bottom = np.flatnonzero(edge < 0) % (height + 1)  # one row further; both in the same order
-    bounds = np.column_stack([column * height + top, column * height + bottom]).ravel()
-    above = np.append((columns - ground).ravel(), 0.0)  # so that the last bound is within it
-    total = np.add.reduceat(above, bounds)[::2] if len(bounds) else np.zeros(0)
-    peak = np.maximum.reduceat(above, bounds)[::2] if len(bounds) else np.zeros(0)
-    high = np.flatnonzero(peak > threshold_dn)
-    kept = high[brightest(column[high], total[high], MOST_SPOTS)]
-    return Spots(column[kept], top[kept], bottom[kept] - 1, total[kept], peak[kept])
-
-
-def spots_near(columns: GreyValues, threshold_dn: float) -> Spots | None:
-    """The spots that :func:`spots_of` finds in the columns, looked for about bright pixels alone.
-
-    No ground lies below the least pixel of its column, so that every spot holds a pixel that
-    exceeds that by the threshold.  Such pixels are brought together in stretches, and each stretch
-    is looked at in a window that holds all that its spots depend on.
-
-    None where that is no less than the picture, and where spots reach beyond their windows.
 
     Parameters
     ----------
     columns : (W, H) array, DN, one column of the picture a row
     threshold_dn : float, DN
+    ground_px, sharp, width_px : as :func:`relief_of` takes them
     """
-    height = columns.shape[1]
-    column, top, bottom = _bright_stretches(columns, threshold_dn)
-    if len(column) == 0:
-        none = np.zeros(0, dtype=np.int64)
-        return Spots(none, none, none, np.zeros(0), np.zeros(0))
-    length = int((bottom - top).max()) + 1 + 2 * (_ROOM_PX + _SEEN_PX)
-    if length > height or length * len(column) > columns.size:
-        return None
-    start = np.clip(top - _ROOM_PX - _SEEN_PX, 0, height - length)
-    first = max(int((top - start).min()) - _ROOM_PX, 0)
-    seen = all_windows(columns, length)[column, start]
-    last = int((bottom - start).max()) + _ROOM_PX
-    spots = spots_of(relief_of(seen, rows=slice(first, last + 1)), threshold_dn)
-    where, moved = spots.column, (start + first)[spots.column]
-    found = Spots(column[where], spots.top + moved, spots.bottom + moved, spots.light, spots.peak)
-    own = (found.top <= bottom[where]) & (found.bottom >= top[where])
-    over = (found.top < top[where] - _SURE_PX) & (found.top > 0)
-    over |= (found.bottom > bottom[where] + _SURE_PX) & (found.bottom < height - 1)
-    crowded = len(where) > 0 and np.bincount(found.column).max() >= MOST_SPOTS
-    return None if crowded or (over & own).any() else select(found, own)
-
-
-def _bright_stretches(columns: GreyValues, threshold_dn: float) -> tuple[Ints, Ints, Ints]:
-    """Column, first and last row, (K,) each, of stretches of pixels that a spot may hold.
-
-    Two that are nearer to each other than twice _ROOM_PX are one.
-    """
-    # A grey value less than the threshold: the ground is of single precision.
-    least = columns.min(axis=1) + max(threshold_dn - 1, 0.0)
-    limit = np.minimum(least, columns.max()).astype(columns.dtype)
-    column, row = np.divmod(np.flatnonzero(columns > limit[:, None]), columns.shape[1])
-    last = np.flatnonzero((np.diff(column) > 0) | (np.diff(row) > 2 * _ROOM_PX))
-    begin, end = np.append(0, last + 1)[: len(row)], np.append(last, len(row) - 1)[: len(row)]
-    return column[begin], row[begin], row[end]
+    opened = smoothed_by_width(columns, width_px)
+    if opened is not columns or columns.dtype != np.uint8:
+        columns, opened = columns.astype(np.float32), opened.astype(np.float32)
+    size_px = _ground_px(ground_px, width_px)
+    place, strength = find_spots(columns, opened, threshold_dn, size_px, sharp, _BELL, REACH_PX)
+    spots = Spots(*place, *strength)
+    return select(spots, brightest(spots.column, spots.light, MOST_SPOTS))
 
 
 def brightest(column: Ints, light: Floats, most: int) -> Mask:

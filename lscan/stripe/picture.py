@@ -12,6 +12,7 @@ from lscan.config.rig import LineChannel, NoiseSection
 from lscan.errors import InputError
 from lscan.files.pictures import colour_shift_px
 from lscan.records import Axis, Bytes, Floats, GreyValues, Ints, Mask
+from lscan.stripe.kernels import core_variance
 
 # The noise of a picture: as the rig file states it, or estimated from that picture alone.
 #
@@ -208,15 +209,13 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
     if values.size == 0:
         return 0.0
     sizes = np.abs(values).ravel()
-    if np.issubdtype(values.dtype, np.integer):
-        count = np.bincount(sizes)
-        sizes = np.arange(len(count))
-        up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
-    else:
-        sizes = np.sort(sizes)
-        up_to, squares = np.arange(1, sizes.size + 1), np.square(sizes).cumsum()
+    if not np.issubdtype(values.dtype, np.integer):
+        return core_variance(np.sort(sizes), least, _CUTS, _KEPT)
+    count = np.bincount(sizes)
+    sizes = np.arange(len(count))
+    up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
     middle = up_to.searchsorted([(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
-    variance = max((1.4826 * float(sizes[middle].mean())) ** 2, least)
+    variance = max((1.4826 * float(middle.mean())) ** 2, least)
     for _ in range(_CUTS):
         last = int(sizes.searchsorted(3 * np.sqrt(variance), side="right")) - 1
         if last < 0 or up_to[last] == 0:

@@ -31,7 +31,6 @@ from lscan.stripe.peaks import (
     running_median,
     runs_of,
     smoothed_by_width,
-    spots_near,
     spots_of,
 )
 
@@ -341,8 +340,7 @@ def choose_return(
     """
     columns = np.ascontiguousarray(image.T)
     crest, count = crests(columns), len(columns)
-    spots = spots_near(columns, settings.threshold_dn)
-    spots = spots_of(relief_of(columns), settings.threshold_dn) if spots is None else spots
+    spots = spots_of(columns, settings.threshold_dn)
     run = runs_of(spots)
     specked = settings.returns != "brightest" and _is_specked(spots, run)
     rivals = np.count_nonzero(np.diff(spots.column) == 0)
@@ -352,7 +350,7 @@ def choose_return(
     stated_px = settings.line_width_px
     smoothed = smoothed_by_width(columns, stated_px)
     if smoothed is not columns:
-        spots = spots_of(relief_of(columns, width_px=stated_px), settings.threshold_dn)
+        spots = spots_of(columns, settings.threshold_dn, width_px=stated_px)
         run, crest = runs_of(spots), crests(smoothed)
     choice = _choose(spots, run, _isolated_spots(spots, run), settings)
     if not choice.rejected.any():
@@ -379,15 +377,16 @@ def _line_in_texture(
     """
     count, threshold_dn = len(columns), settings.threshold_dn
     width_px = settings.line_width_px or line_width_px(seen)
-    relief = relief_of(columns, ground_px(width_px), sharp=True, width_px=settings.line_width_px)
-    spots = spots_of(relief, threshold_dn)
+    stated_px, size_px = settings.line_width_px, ground_px(width_px)
+    relief = relief_of(columns, size_px, sharp=True, width_px=stated_px)
+    spots = spots_of(columns, threshold_dn, size_px, sharp=True, width_px=stated_px)
     path = paths_of(spots, columns.shape, width_px)
     kept = path >= 0
     lines = select(spots, kept)
     run = np.unique(path[kept], return_inverse=True)[1]
     choice = _choose(lines, run, np.zeros(len(run), dtype=bool), settings)
     kept[kept] = ~choice.rejected
-    ground = relief_of(columns, width_px=settings.line_width_px).ground
+    ground = relief_of(columns, width_px=stated_px).ground
     even = np.ptp(ground, axis=1) <= threshold_dn / 2
     left = np.bincount(spots.column[kept], minlength=count)
     even &= (np.bincount(seen.column, minlength=count) == left) & (left <= 1)
@@ -396,7 +395,7 @@ def _line_in_texture(
     image = np.where(even[:, None], columns, flat)
     return OneReturn(
         image=image.T,
-        crest=crests(smoothed_by_width(image, settings.line_width_px)),
+        crest=crests(smoothed_by_width(image, stated_px)),
         clipped=(np.ascontiguousarray(clipped.T) & near).T,
         ambiguous=choice.ambiguous(count),
         textured=True,
@@ -426,7 +425,7 @@ def withhold(stripe: Stripe, columns: Mask, status: Status = Status.AMBIGUOUS) -
 
 def _is_specked(spots: Spots, run: Ints) -> bool:
     """Whether many columns hold specks as bright as the line: first or last would often be one."""
-    if len(run) == 0:
+    if not (np.diff(spots.column) == 0).any():
         return False
     length = np.bincount(run)
     speck = (length <= _SPECK * np.bincount(run, spots.height) / length)[run]

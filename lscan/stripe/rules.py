@@ -10,7 +10,7 @@ differs by (fit.py).  sigma_px holds all three.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import cast
+from typing import Literal, cast
 
 import cv2
 import numpy as np
@@ -21,9 +21,9 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import Extractor, along_the_line, on_integers
 from lscan.stripe.fit import LineWindows, lines, parameters_of
+from lscan.stripe.kernels import centroids
 from lscan.stripe.likelihood import Survey, survey
 from lscan.stripe.peaks import (
-    Peaks,
     clipped_middles,
     crests,
     line_width,
@@ -175,27 +175,27 @@ def _line_light(seen: Survey, light: Floats) -> LineLight:
 
 _FARTHEST_PX = 15  # from a line's crest, of pixels that might be it
 
-Centring = Callable[[Floats], tuple[Floats, Floats]]
-"""From windows (K, n) of grey values to the line's offset (K,) from the middle pixel, in px,
-and the derivative (K, n) of that offset by each grey value, in px/DN."""
-
 
 def _centred(
-    image: GreyValues,
-    settings: StripeSection,
-    clipped: Mask,
-    centring: Centring,
-    guesses_background: bool = False,
+    image: GreyValues, settings: StripeSection, clipped: Mask, rule: Literal[0, 1, 2]
 ) -> Stripe:
-    """The stripe by a rule.
+    """The stripe by a rule of ``kernels.centroids``.
 
     A column has a line where its highest value exceeds its median by more than
     ``threshold_dn``: NO_PEAK otherwise, AT_BORDER where the window does not fit the picture.
 
-    sigma_px combines the noise of the pixels (picture.py), carried through the derivative of
-    the centre; the choice of the nominal peak; and, where the rule ``guesses_background``
-    from the window, that guess.  For a Gaussian line the last two are the size of what the
-    window cuts off; a line wider than the span, whose crest is flat, has sigma_px too large.
+    sigma_px combines three.  The noise of the pixels (picture.py), carried through the derivative
+    of the centre.  The choice of the nominal peak, to which the paper notes that the result is
+    sensitive: by how much the centre would move with the brighter neighbour as nominal peak (a
+    whole pixel at most), for each pixel of the line within two standard deviations of it; n that
+    are together have a variance of n² / 12.  For ``maximum`` and a clear peak that is a uniform
+    distribution as wide as a pixel; for a centroid whose window holds the whole line it vanishes;
+    between them it accounts for the tails that the window cuts off.  And, where the background is
+    guessed from the window, whose smallest value may be the line's own tail, that guess: the
+    column's median is the one that cannot be; the truth lies between the two centroids, rather near
+    the one found (a triangular distribution, whose mean square about its high end is a sixth of its
+    width's).  For a Gaussian line the last two are the size of what the window cuts off; a line
+    wider than the span, whose crest is flat, has sigma_px too large.
     Fast where ``image.T`` is contiguous in memory.
     """
     columns = np.ascontiguousarray(image.T)
@@ -206,47 +206,21 @@ def _centred(
     peaks = replace(peaks, rows=np.floor(middle).astype(int))
     # One pixel wider than the window on either side, to try the neighbour as nominal peak.
     wide = windows(columns, peaks.columns, peaks.rows, settings.span_px + 1)
-    window = wide[:, 1:-1]
-    light = window - peaks.base[:, None]
-    variance = line_noise(columns, light, peaks.columns).variance(light)
-    offset, slope = centring(window)
+    noise = line_noise(columns, wide[:, 1:-1] - peaks.base[:, None], peaks.columns)
+    smoothed, width_px = smoothed_by_width(columns, settings.line_width_px), settings.line_width_px
+    around = windows(smoothed, peaks.columns, peaks.rows, max(_FARTHEST_PX, settings.span_px))
+    # The mean of as many pixels as a Gaussian kernel amounts to, 2 sqrt(pi) times its width.
+    averaged = max(2 * np.sqrt(np.pi) * smoothing_px(width_px), 1.0)
+    offset, variance_px = centroids(
+        wide, around, peaks.base, rule, noise.constant, noise.per_dn, averaged
+    )
     wide_crest = flat > settings.span_px
-    offset[wide_crest], slope[wide_crest] = (middle - peaks.rows)[wide_crest], 0.0
-    variance_px = (slope**2 * variance).sum(axis=1)
-    spread = _peak_spread(columns, peaks, variance[:, settings.span_px], settings)
-    variance_px += _choice_variance(wide, offset, spread, centring)
-    if guesses_background:
-        # The window's smallest value may be the line's own tail; the column's median is the guess
-        # that cannot be.  The truth lies between the two centroids, rather near the one found: a
-        # triangular distribution, whose mean square about its high end is a sixth of its width's.
-        variance_px += np.fmin(np.abs(_centroid_offset(light)[0] - offset), 1.0) ** 2 / 6
+    offset[wide_crest] = (middle - peaks.rows)[wide_crest]
     variance_px[wide_crest] = 1 / 12  # of a pixel at either end; extract_stripe adds the rest
 
     # Only grey values that are negative can throw the centroid out of its window.
     kept = np.abs(offset) <= settings.span_px
     return stripe_at(stripe, peaks, offset, np.sqrt(variance_px), kept)
-
-
-def _no_offset(window: Floats) -> tuple[Floats, Floats]:
-    return np.zeros(len(window)), np.zeros_like(window)
-
-
-def _centroid_offset(window: Floats) -> tuple[Floats, Floats]:
-    """Eq. (8) about the middle pixel; NaN where the weights have no positive sum."""
-    reach = window.shape[1] // 2
-    steps = np.arange(-reach, reach + 1, dtype=float)
-    total = window.sum(axis=1)
-    total = np.where(total > 0, total, np.nan)
-    offset = (window * steps).sum(axis=1) / total
-    return offset, (steps - offset[:, None]) / total[:, None]
-
-
-def _relative_offset(window: Floats) -> tuple[Floats, Floats]:
-    each, lowest = np.arange(len(window)), window.argmin(axis=1)
-    offset, slope = _centroid_offset(window - window[each, lowest][:, None])
-    # The lowest pixel is taken off all weights, so it moves the centroid through all of them.
-    slope[each, lowest] -= slope.sum(axis=1)
-    return offset, slope
 
 
 @on_integers
@@ -263,7 +237,7 @@ def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe
     ----------
     Sec. V.B of the paper: the nominal peak.
     """
-    return _centred(image, settings, clipped, _no_offset)
+    return _centred(image, settings, clipped, 0)
 
 
 @on_integers
@@ -282,7 +256,7 @@ def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Strip
     ----------
     Sec. V.B and eq. (8) of the paper.
     """
-    return _centred(image, settings, clipped, _centroid_offset)
+    return _centred(image, settings, clipped, 1)
 
 
 @on_integers
@@ -299,50 +273,7 @@ def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask)
     ----------
     Sec. V.B of the paper: eq. (8) with the relative intensities.
     """
-    return _centred(image, settings, clipped, _relative_offset, guesses_background=True)
-
-
-def _peak_spread(
-    columns: GreyValues, peaks: Peaks, variance: Floats, settings: StripeSection
-) -> Floats:
-    """Variance in px² (K,) of the pixels that might have been the nominal peak as well.
-
-    Those of the line that are within two standard deviations of it, each a pixel wide: n that are
-    together have n² / 12, a uniform distribution's.
-
-    variance: (K,) of the peak's grey value, DN².  In a smoothed column (peaks.py) it is that of
-    the mean of as many pixels as a Gaussian kernel amounts to, 2 sqrt(pi) times its width.
-    """
-    width_px = settings.line_width_px
-    averaged = max(2 * np.sqrt(np.pi) * smoothing_px(width_px), 1.0)
-    reach = max(_FARTHEST_PX, settings.span_px)
-    smoothed = smoothed_by_width(columns, width_px)
-    grey = windows(smoothed, peaks.columns, peaks.rows, reach)
-    least = grey[:, reach] - 2 * np.sqrt(variance / averaged)
-    near, steps = grey >= least[:, None], np.arange(-reach, reach + 1)
-    count = np.count_nonzero(near, axis=1)  # of whole numbers: for floats BLAS would start threads
-    spread: Floats = near @ steps**2 / count - (near @ steps / count) ** 2 + 1 / 12
-    return spread
-
-
-def _choice_variance(wide: Floats, offset: Floats, spread: Floats, centring: Centring) -> Floats:
-    """Variance in px² (K,) that comes from the choice of the nominal peak.
-
-    The paper notes that the result is sensitive to this choice.  It is measured: by how much
-    the centre would move with the brighter neighbour as nominal peak (a whole pixel at
-    most), for each pixel of ``spread``.  For ``maximum`` and a clear peak that is a uniform
-    distribution as wide as a pixel; for a centroid whose window holds the whole line it vanishes;
-    between them it accounts for the tails that the window cuts off.
-
-    wide: (K, n + 2) windows with one more pixel on either side.  spread: (K,) px².
-    """
-    middle = wide.shape[1] // 2
-    below = wide[:, middle + 1] >= wide[:, middle - 1]
-    neighbour = np.where(below[:, None], wide[:, 2:], wide[:, :-2])
-    moved = np.where(below, 1.0, -1.0) + centring(neighbour)[0]
-    step = np.fmin(np.abs(moved - offset), 1.0)  # a whole pixel too where it is NaN
-    variance: Floats = step**2 * spread
-    return variance
+    return _centred(image, settings, clipped, 2)
 
 
 # The log-parabola: of a Gaussian the logarithm is a parabola, whose vertex is the centre.

@@ -16,18 +16,15 @@ and of relief nothing is left but what is rough from one column to the next.
 """
 
 from dataclasses import replace
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lscan.config.rig import NoiseSection, StripeSection
-from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value
+from lscan.records import Floats, GreyValues, Ints, Status, Stripe, has_value
 from lscan.stripe import peaks
-from lscan.stripe.kernels import weighted_moments
+from lscan.stripe.kernels import third_differences, weighted_moments
 from lscan.stripe.picture import robust_variance, stated_noise
-
-_Number = TypeVar("_Number", bound=np.number)
 
 _REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2
 """By how much the variance of a mean square of third differences exceeds that of as many
@@ -174,14 +171,12 @@ def excess(stripe: Stripe, run: Ints, lag: int) -> float:
     """
     chance, ratio = _BEYOND_CHANCE if lag == 1 else 0.0, 0.0
     while lag >= 1:
-        at = _in_one_piece(run, lag)
-        count = np.count_nonzero(at)
-        if count >= max(_FEWEST_DIFFERENCES, _SPANS * lag):
-            first, second, third, last = _apart(stripe.sigma_px**2, lag)
-            stated = np.sqrt(first + last + 9 * (second + third))[at]
-            seen = _third_differences(stripe.centre_px, lag)[at]
+        at, seen = third_differences(stripe.centre_px, run, lag)
+        if len(at) >= max(_FEWEST_DIFFERENCES, _SPANS * lag):
+            first, second, third, last = (stripe.sigma_px[at + k * lag] ** 2 for k in range(4))
+            stated = np.sqrt(first + last + 9 * (second + third))
             ratio = max(ratio, robust_variance(seen / stated))
-            chance *= np.sqrt(2 * _REPEATED / count)
+            chance *= np.sqrt(2 * _REPEATED / len(at))
         lag = 3 * lag // 4
     return float(np.sqrt(ratio)) if ratio > 1 + chance else 1.0
 
@@ -233,7 +228,7 @@ class LightMoments(NamedTuple):
         run = np.where(np.isfinite(self.squared), self.pieces(stripe), -1)
         found: dict[int, float] = {}
         for lag in _LAGS:
-            values = _third_differences(self.squared, lag)[_in_one_piece(run, lag)]
+            values = third_differences(self.squared, run, lag)[1]
             if len(values) >= _FEWEST_DIFFERENCES:
                 scatter = robust_variance(values)
                 # Two variances are compared, each of as many values as the second has, or more.
@@ -274,21 +269,3 @@ def _slope(line: Floats, width_px: float) -> Floats:
     before, after = np.maximum(at - reach, 0), np.minimum(at + reach, len(line) - 1)
     slope: Floats = (line[after] - line[before]) / (after - before)
     return slope
-
-
-def _apart(values: NDArray[_Number], lag: int) -> list[NDArray[_Number]]:
-    """Four times (Q,) values of (N,), each ``lag`` entries after the one before."""
-    count = max(len(values) - 3 * lag, 0)
-    return [values[k * lag : k * lag + count] for k in range(4)]
-
-
-def _in_one_piece(run: Ints, lag: int) -> Mask:
-    """(Q,) whether four entries ``lag`` apart are all of the same piece; -1 is none."""
-    first, second, third, last = _apart(run, lag)
-    return (first >= 0) & (first == second) & (first == third) & (first == last)
-
-
-def _third_differences(values: Floats, lag: int) -> Floats:
-    """(Q,) of values (N,), ``lag`` entries apart."""
-    first, second, third, last = _apart(values, lag)
-    return first - last + 3 * (third - second)

@@ -8,7 +8,7 @@ from lines_drawn import drawn, lit_share, speckled
 
 from lscan.config.rig import StripeSection
 from lscan.records import Status, Stripe
-from lscan.stripe.peaks import brightest, relief_of, spots_of
+from lscan.stripe.peaks import brightest, spots_of
 from lscan.stripe.returns import choose_return, withhold
 from lscan.stripe.rules import centroid_relative
 
@@ -238,7 +238,7 @@ def test_a_picture_of_noise_is_not_compared_spot_by_spot() -> None:
     """Of the spots of a column those of the most light are kept, 32 at most."""
     image = np.random.default_rng(8).integers(0, 256, (1024, 64)).astype(float)
     columns = np.ascontiguousarray(image.T)
-    spots = spots_of(relief_of(columns), 20.0)
+    spots = spots_of(columns, 20.0)
     count = np.bincount(spots.column, minlength=64)
     assert (count == 32).all()
     assert (np.diff(spots.column * 1024 + spots.top) > 0).all()  # still from the top
