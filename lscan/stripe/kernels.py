@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Callable
-from math import erfc, exp, log, pi, sqrt
+from math import atan2, cos, erfc, exp, hypot, log, pi, sin, sqrt
 from typing import Any, ParamSpec, TypeAlias, TypeVar, cast
 
 import numba
@@ -94,6 +94,8 @@ def compile_all() -> None:
         columns = np.ones((1, 9), kind)
         find_spots(columns, columns, 1.0, 3, False, bell, 1)
     centroids(window, window, np.zeros(1), 0, 1.0, 0.0, 1.0)
+    bells = np.ones((3, 3))
+    ridge_crossings(np.ones((3, 3)), noise, one, 0.5, bells, bells)
     third_differences(np.zeros(1), one, 1)
     core_variance(np.ones(1), 0.0, 1, 1.0)
     linked_runs(one, one, one, 1)
@@ -452,6 +454,152 @@ def _centroid(window: Floats, rule: int, slope: Floats) -> float:
 def _at_most_one(step: float) -> float:
     """A pixel too where it is not known."""
     return min(abs(step), 1.0) if abs(step) == abs(step) else 1.0
+
+
+# The crossing of a column with a ridge (rules.py).
+
+
+_STEEPEST = 0.1
+"""Least share of the line's normal that lies along the column: steeper than 84 degrees, the
+line has no one crossing with it."""
+_DARK = 1e-9  # DN; what is not brighter has no ridge
+_BESIDE = 2  # rows from where the picture bends most to its crossing
+
+
+@compiled_sums
+def ridge_crossings(
+    light: Floats,
+    noise: Floats,
+    lit: Ints,
+    threshold_dn: float,
+    along: Floats,
+    across: Floats,
+) -> tuple[Floats, Floats]:
+    """Row and its standard uncertainty, (K,) px each, of the ridge of a smoothed picture.
+
+    Near the row where the picture bends most, among those whose own light or a neighbour's is above
+    the threshold: a stronger line that ends beside the column is smoothed into it.  The derivative
+    across the line must change its sign within two rows; NaN where it does not, and where the line
+    runs along the column.
+
+    Parameters
+    ----------
+    light : (W, H) array, DN, one column of the picture a row; beyond its edges there is none
+    noise : (3,) array, of its pixels, constant in DN², DN of variance per DN of light, speckle
+    lit : (K,) array, rising, the columns wanted
+    threshold_dn : float, DN
+    along, across : (3, 2 n + 1) array, a Gaussian and its first two derivatives, along the rows and
+        along the columns; where the first is one pixel long each column is smoothed by itself
+    """
+    width, height = light.shape
+    reach_u, reach_v = along.shape[1] // 2, across.shape[1] // 2
+    first, last = np.full(width, height), np.full(width, -1)
+    top, bottom = np.full(len(lit), height), np.full(len(lit), -1)
+    for k in range(len(lit)):
+        for row in range(height):
+            if light[lit[k], row] > threshold_dn:
+                top[k] = min(top[k], max(row - 1, 0))
+                bottom[k] = min(row + 1, height - 1)
+        for u in range(max(lit[k] - reach_u, 0), min(lit[k] + reach_u + 1, width)):
+            first[u] = min(first[u], max(top[k] - _BESIDE, 0))
+            last[u] = max(last[u], min(bottom[k] + _BESIDE, height - 1))
+    down = np.empty((3, width, height))
+    for u in range(width):
+        for row in range(first[u], last[u] + 1):
+            begin, end = max(row - reach_v, 0), min(row + reach_v + 1, height)
+            grey, skipped = light[u, begin:end], begin - row + reach_v
+            for order in range(3):
+                bell, total = across[order, skipped:], 0.0
+                for p in range(len(grey)):
+                    total += bell[p] * grey[p]
+                down[order, u, row] = total
+    centre, sigma = np.full(len(lit), np.nan), np.full(len(lit), np.nan)
+    ratio, beside = np.empty(2 * _BESIDE + 1), np.empty(2 * _BESIDE + 1, np.int64)
+    for k in range(len(lit)):
+        u, best, lowest = lit[k], -1, np.inf
+        for row in range(top[k], bottom[k] + 1):
+            near = light[u, row] > threshold_dn
+            near |= row > 0 and light[u, row - 1] > threshold_dn
+            near |= row + 1 < height and light[u, row + 1] > threshold_dn
+            if near:
+                bend = _ridge(down, u, row, along)[0]
+                if bend < lowest:
+                    best, lowest = row, bend
+        if best < 0:
+            continue
+        for i in range(2 * _BESIDE + 1):
+            beside[i] = min(max(best + i - _BESIDE, 0), height - 1)
+            _, by_u, by_v, slope, value = _ridge(down, u, beside[i], along)
+            ratio[i] = slope / max(value, _DARK)
+        _, by_u, by_v, _, value = _ridge(down, u, best, along)
+        nearest, apart = -1, np.inf
+        for i in range(2 * _BESIDE):
+            aside = abs(beside[i] + 0.5 - best)
+            whole = beside[i + 1] == beside[i] + 1
+            if whole and ratio[i] > 0 and ratio[i + 1] <= 0 and aside < apart:
+                nearest, apart = i, aside
+        if nearest < 0 or by_v < _STEEPEST:
+            continue
+        change = ratio[nearest + 1] - ratio[nearest]  # of the slope over the value, in px^-2
+        centre[k] = beside[nearest] - ratio[nearest] / change
+        variance = _slope_variance(light, noise, u, best, along, across, by_u, by_v)
+        sigma[k] = sqrt(variance) / max(value, _DARK) / abs(change)
+    return centre, sigma
+
+
+@compiled_sums
+def _ridge(
+    down: Floats, u: int, row: int, along: Floats
+) -> tuple[float, float, float, float, float]:
+    """Second derivative across the ridge, its normal along u and v, first derivative, the picture.
+
+    The derivatives are in DN/px² and DN/px, the first is positive towards lower rows.
+    """
+    reach = along.shape[1] // 2
+    value = by_u = by_v = uu = uv = vv = 0.0
+    for at in range(max(u - reach, 0), min(u + reach + 1, down.shape[1])):
+        bell, slope, bend = (
+            along[0, at - u + reach],
+            along[1, at - u + reach],
+            along[2, at - u + reach],
+        )
+        plain, first, second = down[0, at, row], down[1, at, row], down[2, at, row]
+        value += bell * plain
+        by_u += slope * plain
+        by_v += bell * first
+        uu += bend * plain
+        uv += slope * first
+        vv += bell * second
+    if reach == 0:  # the line is taken to run square to the column
+        return vv, 0.0, 1.0, by_v, value
+    bent = (uu + vv) / 2 - hypot((uu - vv) / 2, uv)
+    # The eigenvector to the smaller eigenvalue is square to that to the larger one; its angle
+    # lies between 0 and pi, so that its part along v is never negative.
+    angle = atan2(2 * uv, uu - vv) / 2 + pi / 2
+    return bent, cos(angle), sin(angle), cos(angle) * by_u + sin(angle) * by_v, value
+
+
+@compiled_sums
+def _slope_variance(
+    light: Floats,
+    noise: Floats,
+    u: int,
+    row: int,
+    along: Floats,
+    across: Floats,
+    by_u: float,
+    by_v: float,
+) -> float:
+    """Variance in DN²/px² of the derivative in a direction, each pixel's noise its own."""
+    reach_u, reach_v, total = along.shape[1] // 2, across.shape[1] // 2, 0.0
+    for at in range(max(u - reach_u, 0), min(u + reach_u + 1, light.shape[0])):
+        plain, slope = by_v * along[0, at - u + reach_u], by_u * along[1, at - u + reach_u]
+        for v in range(max(row - reach_v, 0), min(row + reach_v + 1, light.shape[1])):
+            grey = light[at, v]
+            weight = slope * across[0, v - row + reach_v] + plain * across[1, v - row + reach_v]
+            pixel = noise[0] + noise[1] * max(grey, 0.0) + (noise[2] * grey) ** 2
+            total += weight * weight * pixel
+    return total
 
 
 # How far values scatter along a line, and the light across it (scatter.py, picture.py).
