@@ -98,6 +98,7 @@ def compile_all() -> None:
     ridge_crossings(np.ones((3, 3)), noise, one, 0.5, bells, bells)
     third_differences(np.zeros(1), one, 1)
     core_variance(np.ones(1), 0.0, 1, 1.0)
+    shot_and_speckle(np.ones(1), np.ones(1), 1.0)
     linked_runs(one, one, one, 1)
     best_path(one, np.zeros(1), np.zeros(1), 1, 1.0, 1.0, 1.0)
 
@@ -992,6 +993,52 @@ def _doubled(table: Any) -> Any:
         for k in range(table.shape[1]):
             longer[i, k] = table[i, k]
     return longer
+
+
+# What makes pixels scatter about a fitted line (picture.py).
+
+
+@compiled_sums
+def shot_and_speckle(square: Floats, light: Floats, constant: float) -> tuple[float, float]:
+    """DN of variance per DN of light, and speckle, that ``picture.scatter_noise`` finds.
+
+    Parameters
+    ----------
+    square : (N,) array, DN², on average the variance
+    light : (N,) array, DN
+    constant : float, DN²
+    """
+    shot, speckle = 0.0, 0.0
+    for turn in range(4):
+        # The normal equations of square - constant = shot light + speckle² light².
+        one, both, two, first, second = 0.0, 0.0, 0.0, 0.0, 0.0
+        for p in range(len(light)):
+            grey = light[p]
+            variance = constant + shot * max(grey, 0.0) + (speckle * grey) ** 2
+            # Nothing is known of the line's part yet at the first turn: all squares count.
+            core = turn == 0 or square[p] <= 25 * variance
+            root = 1 / max(variance, 1e-3 * grey**2) if core else 0.0
+            weight, rest = (root * grey) ** 2, square[p] - constant
+            one, both, two = one + weight, both + weight * grey, two + weight * grey**2
+            first, second = first + root**2 * grey * rest, second + weight * rest
+        shot, speckled = _non_negative(one, both, two, first, second)
+        speckle = min(sqrt(speckled), 1.0)
+    return shot, speckle
+
+
+@compiled
+def _non_negative(
+    one: float, both: float, two: float, first: float, second: float
+) -> tuple[float, float]:
+    """The least squares solution, neither part below 0, of two normal equations."""
+    found = one * two - both * both
+    x, y = (first * two - second * both) / found, (second * one - first * both) / found
+    if found > 0 and x >= 0 and y >= 0:
+        return x, y
+    x, y = max(first / one, 0.0) if one > 0 else 0.0, max(second / two, 0.0) if two > 0 else 0.0
+    return (
+        (x, 0.0) if x * first > y * second else (0.0, y)
+    )  # what each takes off the sum of squares
 
 
 # Runs of spots side by side (peaks.py).

@@ -6,13 +6,12 @@ from typing import cast
 
 import cv2
 import numpy as np
-from scipy.optimize import nnls
 
 from lscan.config.rig import LineChannel, NoiseSection
 from lscan.errors import InputError
 from lscan.files.pictures import colour_shift_px
 from lscan.records import Axis, Bytes, Floats, GreyValues, Ints, Mask
-from lscan.stripe.kernels import core_variance
+from lscan.stripe.kernels import core_variance, shot_and_speckle
 
 # The noise of a picture: as the rig file states it, or estimated from that picture alone.
 #
@@ -181,18 +180,7 @@ def scatter_noise(square: Floats, light: Floats, constant: float) -> Noise:
     light : (N,) array, DN, the line's fitted grey values, 0 or more
     constant : float, DN², as in :class:`Noise`, known from elsewhere
     """
-    noise = Noise(constant, 0.0)
-    if len(light) == 0:
-        return noise
-    for turn in range(4):
-        variance = noise.variance(light)
-        # Nothing is known of the line's part yet at the first turn: all squares count.
-        core = (square <= 25 * variance) if turn else np.ones(len(square), dtype=bool)
-        root = core / np.maximum(variance, 1e-3 * light**2)
-        terms = np.column_stack([light, light**2]) * root[:, None]
-        (shot, speckled), _ = nnls(terms, (square - constant) * root)
-        noise = Noise(constant, float(shot), min(float(speckled) ** 0.5, 1.0))
-    return noise
+    return Noise(constant, *shot_and_speckle(square, light, constant))
 
 
 def robust_variance(values: GreyValues, least: float = 0.0) -> float:
