@@ -22,6 +22,7 @@ which is 0 at 2 pi k sigma = 1 and negative beyond (both derived here).
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import hypot, sqrt
 
 import numpy as np
 from scipy.ndimage import spline_filter1d
@@ -29,6 +30,7 @@ from scipy.special import jv
 
 from lscan.config.rig import SheetSection
 from lscan.records import Floats, Ints, Surface, has_value
+from lscan.stripe.kernels import compiled_sums
 from lscan.surface.alignment import shear
 
 # What a sheet of finite thickness makes of a target's relief: the height that its line shows.
@@ -83,40 +85,64 @@ def responses(
     sigma_mm : float, mm, standard deviation of the sheet's irradiance
     sight : Sight, of those points
     """
-    away = OFFSETS * sigma_mm
-    around = _rows_around(height_mm, away / row_mm)
-    slope_x = np.gradient(height_mm, column_mm, axis=1) if height_mm.shape[1] > 1 else 0.0
-    seen_at = around + sight.tau * away[:, None, None]
-    rise = np.gradient(seen_at, away, axis=0)
-    slope_y = rise - sight.tau - sight.kappa * slope_x
-    apex_x, apex_z = sight.to_apex
-    cosine = (apex_z - slope_x * apex_x) / np.sqrt(1 + slope_x**2 + slope_y**2)
-    in_sight = (rise > 0) & (seen_at >= np.maximum.accumulate(seen_at, axis=0) - 1e-9)
-    light = np.exp(-(OFFSETS**2) / 2)[:, None, None]
-    weight = np.where(in_sight & (cosine > 0), cosine * rise * light, 0.0)
-    total = weight.sum(axis=0)
-    shown = (weight * seen_at).sum(axis=0) / np.where(total > 0, total, 1.0)
-    kernel = OFFSETS**2 * np.exp(-(OFFSETS**2) / 2)
-    linear = np.tensordot(kernel / kernel.sum(), around, 1)
-    return np.where(total > 0, shown, linear), linear
-
-
-def _rows_around(height: Floats, rows: Floats) -> Floats:
-    """(K, R, C) heights so many rows farther on, by cubic splines along the columns.
-
-    Beyond the ends the last height goes on.
-    """
-    spline = spline_filter1d(height, axis=0, mode="nearest")
+    rows = OFFSETS * (sigma_mm / row_mm)
+    slope_x = np.zeros(height_mm.shape)
+    if height_mm.shape[1] > 1:
+        slope_x = np.gradient(height_mm, column_mm, axis=1)
+    # Heights between rows are those of cubic splines; beyond the ends the last height goes on.
+    spline = spline_filter1d(height_mm, axis=0, mode="nearest")
     beyond = int(np.ceil(np.abs(rows).max())) + 2
-    padded = np.pad(spline, ((beyond, beyond), (0, 0)), mode="edge")
-    found = np.zeros((len(rows), *height.shape))
-    for shifted, row in zip(found, rows, strict=True):
-        whole = int(np.floor(row))
-        t = row - whole
-        pieces = ((1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3)
-        for number, piece in enumerate(pieces, start=beyond + whole - 1):
-            shifted += piece / 6 * padded[number : number + len(height)]
-    return found
+    padded = np.pad(spline.T, ((0, 0), (beyond, beyond)), mode="edge")
+    first, t = np.floor(rows).astype(np.int64), rows - np.floor(rows)
+    pieces = np.stack(
+        [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]
+    )
+    sight_of = (sight.tau, sight.kappa, *sight.to_apex)
+    return _responses(padded, first + beyond - 1, pieces.T / 6, slope_x, *sight_of, sigma_mm)
+
+
+@compiled_sums
+def _responses(
+    spline: Floats,
+    first: Ints,
+    pieces: Floats,
+    slope_x: Floats,
+    tau: Floats,
+    kappa: Floats,
+    apex_x: Floats,
+    apex_z: Floats,
+    sigma_mm: float,
+) -> tuple[Floats, Floats]:
+    """The same of the splines' coefficients (C, R + ...), four of which make a height (K, 4)."""
+    count, step = len(OFFSETS), (OFFSETS[1] - OFFSETS[0]) * sigma_mm
+    light = np.exp(-(OFFSETS**2) / 2)
+    kernel = OFFSETS**2 * light
+    kernel /= kernel.sum()
+    shown, linear = np.empty(slope_x.shape), np.empty(slope_x.shape)
+    seen, in_sight = np.empty(count), np.empty(count)
+    for r in range(slope_x.shape[0]):
+        for c in range(slope_x.shape[1]):
+            along, lift, highest, even = spline[c, r:], tau[r, c], -np.inf, 0.0
+            for k in range(count):
+                height, at = 0.0, first[k]
+                for piece in range(4):
+                    height += pieces[k, piece] * along[at + piece]
+                even += kernel[k] * height
+                seen[k] = height + lift * OFFSETS[k] * sigma_mm
+                highest = max(highest, seen[k])
+                in_sight[k] = light[k] if seen[k] >= highest - 1e-9 else 0.0
+            across, total, moment = slope_x[r, c], 0.0, 0.0
+            facing = apex_z[r, c] - across * apex_x[r, c]
+            level = lift + kappa[c] * across
+            for k in range(count):
+                before, after = max(k - 1, 0), min(k + 1, count - 1)
+                rise = (seen[after] - seen[before]) / ((after - before) * step)
+                weight = max(rise, 0.0) * in_sight[k]
+                weight *= max(facing, 0.0) / sqrt(1 + across**2 + (rise - level) ** 2)
+                total += weight
+                moment += weight * seen[k]
+            shown[r, c], linear[r, c] = moment / total if total > 0 else even, even
+    return shown, linear
 
 
 # What the sheet's thickness does to a line on a smoothly curved target: a series.
@@ -203,17 +229,11 @@ def _quadratics(
     along, across = _spacing(true[..., 1], 0), _spacing(true[..., 0], 1)
     radius = max(REACH_IN_SIGMAS * sigma_mm, REACH_IN_SAMPLES * max(along, across))
     frames, columns = (int(np.ceil(radius / step)) for step in (along, across))
-    count = true.shape[1]
-    beside = np.arange(count)[:, None] + _offsets_around(columns)
-    outside = (beside < 0) | (beside >= count)
-    beside = np.clip(beside, 0, count - 1)
+    noise, beside = np.ascontiguousarray(surface.sigma_z_mm), _offsets_around(columns)
     for f in range(len(true)):
         near = f + _offsets_around(frames)
-        near = near[(near >= 0) & (near < len(true))][:, None, None]
-        offset = true[near, beside] - true[f][:, None]
-        offset[:, outside] = np.nan
-        noise = surface.sigma_z_mm[near, beside]
-        yield f, _fit(_flat(offset, count), _flat(noise, count), radius)
+        near = near[(near >= 0) & (near < len(true))]
+        yield f, _solved(*_normal_equations(true, noise, f, near, beside, radius), radius)
 
 
 def _offsets_around(reach: int) -> Ints:
@@ -229,38 +249,68 @@ def _spacing(coordinate: Floats, axis: int) -> float:
     return float(np.median(steps)) if len(steps) else 1.0
 
 
-def _flat(window: np.ndarray, count: int) -> np.ndarray:
-    """(frames, N, columns, ...) as (N, frames x columns, ...)."""
-    turned = np.moveaxis(window, 0, 1)
-    return turned.reshape(count, -1, *window.shape[3:])
+@compiled_sums
+def _normal_equations(
+    points: Floats, noise: Floats, profile: int, near: Ints, beside: Ints, radius: float
+) -> tuple[Floats, Floats, Floats, Ints, Floats]:
+    """Of the quadratics about the N points of a profile: (N, 6, 6) and (N, 6), sums of squares,
+
+    how many points each is of, and their mean variance in mm².
+
+    near: profiles.  beside: offsets of their columns.  Offsets count in radii.
+    """
+    count = points.shape[1]
+    normal, right = np.zeros((count, 6, 6)), np.zeros((count, 6))
+    squares, used, typical = np.zeros(count), np.zeros(count, np.int64), np.zeros(count)
+    terms = np.ones(6)
+    for n in range(count):
+        here = points[profile, n]
+        for turn in range(2):  # the mean variance, of which the weights are made, and the sums
+            for f in near:
+                for offset in beside:
+                    at = n + offset
+                    if at < 0 or at >= count:
+                        continue
+                    x = (points[f, at, 0] - here[0]) / radius
+                    y = (points[f, at, 1] - here[1]) / radius
+                    height = points[f, at, 2] - here[2]
+                    if not (hypot(x, y) <= 1 and abs(height) < np.inf):  # nor is it NaN
+                        continue
+                    variance = max(noise[f, at] ** 2, NO_BETTER_MM**2)
+                    if turn == 0:
+                        typical[n] += variance
+                        used[n] += 1
+                        continue
+                    weight = typical[n] / max(variance, 1e-3 * typical[n])
+                    terms[1], terms[2] = x, y
+                    terms[3], terms[4], terms[5] = x * x / 2, x * y, y * y / 2
+                    for i in range(6):
+                        weighted = weight * terms[i]
+                        right[n, i] += weighted * height
+                        for j in range(i + 1):
+                            normal[n, i, j] += weighted * terms[j]
+                    squares[n] += weight * height * height
+            if turn == 0:
+                typical[n] /= max(used[n], 1)
+        for i in range(6):
+            for j in range(i):
+                normal[n, j, i] = normal[n, i, j]
+    return normal, right, squares, used, typical
 
 
-def _fit(offset: Floats, noise: Floats, radius: float) -> _Quadratics:
-    """The quadratics through (N, K, 3) offsets in mm of standard uncertainty (N, K)."""
-    x, y = offset[..., 0] / radius, offset[..., 1] / radius
-    used = np.isfinite(offset).all(axis=-1) & (np.hypot(x, y) <= 1)
-    terms = np.stack([np.ones_like(x), x, y, x**2 / 2, x * y, y**2 / 2], axis=-1)
-    count = used.sum(axis=1)
-    variance = np.maximum(noise**2, NO_BETTER_MM**2)
-    total = np.where(used, variance, 0.0).sum(axis=1, keepdims=True)
-    typical = total / np.maximum(count, 1)[:, None]
-    weight = np.where(used, typical / np.maximum(variance, 1e-3 * typical), 0.0)
-    design = np.where(used[..., None], terms, 0.0)
-    height = np.where(used, offset[..., 2], 0.0)
-    turned = np.swapaxes(design * weight[..., None], 1, 2)
-    normal = turned @ design
+def _solved(
+    normal: Floats, right: Floats, squares: Floats, count: Ints, typical: Floats, radius: float
+) -> _Quadratics:
+    """The quadratics of :func:`_normal_equations`."""
     good = (count >= FEWEST_POINTS) & (np.linalg.eigvalsh(normal)[:, 0] > 1e-4)
     inverse = np.linalg.inv(np.where(good[:, None, None], normal, np.eye(6)))
-    fitted = (inverse @ (turned @ height[..., None]))[..., 0]
-    residual = height - (design @ fitted[..., None])[..., 0]
-    scatter = (weight * residual**2).sum(axis=1) / np.maximum(count - 6, 1)
+    fitted = (inverse @ right[..., None])[..., 0]
+    scatter = (squares - (fitted * right).sum(axis=1)) / np.maximum(count - 6, 1)
     fitted = np.where(good[:, None], fitted, np.nan)
     return _Quadratics(
         slope=fitted[:, 1:3] / radius,
         bend=fitted[:, 3:] / radius**2,
-        covariance=inverse[:, 3:, 3:]
-        * np.maximum(scatter, typical[:, 0])[:, None, None]
-        / radius**4,
+        covariance=inverse[:, 3:, 3:] * np.maximum(scatter, typical)[:, None, None] / radius**4,
     )
 
 
