@@ -97,6 +97,7 @@ def compile_all() -> None:
     bells = np.ones((3, 3))
     ridge_crossings(np.ones((3, 3)), noise, one, 0.5, bells, bells)
     third_differences(np.zeros(1), one, 1)
+    running_medians(np.ones(1), 1)
     core_variance(np.ones(1), 0.0, 1, 1.0)
     shot_and_speckle(np.ones(1), np.ones(1), 1.0)
     linked_runs(one, one, one, 1)
@@ -625,6 +626,36 @@ def third_differences(values: Floats, run: Ints, lag: int) -> tuple[Ints, Floats
             found[count] += 3 * (values[i + 2 * lag] - values[i + lag])
             count += 1
     return at[:count], found[:count]
+
+
+@compiled
+def running_medians(values: Floats, half: int) -> Floats:
+    """(N,) median of each value and so many on either side, as ``peaks.running_median``.
+
+    Parameters
+    ----------
+    values : (N,) array, of any unit, N > 0, without NaN
+    half : int, values; beyond the ends the end values count
+    """
+    size, last = 2 * half + 1, len(values) - 1
+    rising, medians = np.empty(size), np.empty(len(values))
+    for k in range(size):  # those about the value before the first
+        rising[k] = values[min(max(k - half - 1, 0), last)]
+    rising.sort()
+    for n in range(len(values)):
+        gone, new = values[max(n - 1 - half, 0)], values[min(n + half, last)]
+        place = 0
+        while rising[place] < gone:
+            place += 1
+        while place < size - 1 and rising[place + 1] < new:
+            rising[place] = rising[place + 1]
+            place += 1
+        while place > 0 and rising[place - 1] > new:
+            rising[place] = rising[place - 1]
+            place -= 1
+        rising[place] = new
+        medians[n] = rising[half]
+    return medians
 
 
 @compiled

@@ -6,7 +6,6 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Singles, Status, Stripe, has_value, select
@@ -15,6 +14,7 @@ from lscan.stripe.kernels import (
     find_spots,
     linked_runs,
     order_statistics,
+    running_medians,
     total_profile,
 )
 
@@ -101,20 +101,12 @@ def running_median(values: Floats, count: int) -> Floats:
     values : (N,) array, of any unit
     count : int, odd, of the values that each median is of; it may exceed N
 
-    Notes
-    -----
-    As a picture of one row: SciPy's own way with a single axis writes beyond its memory in
-    1.15.0 to 1.15.2 (scipy/scipy#22250, #22586), and in 1.15.3 and 1.16.0 leaves what it returns
-    unset where N is below half of ``count`` (#23293), as a line over few columns is.
-
     Examples
     --------
     >>> running_median(np.array([1.0, 9.0, 2.0, 3.0]), 3)
     array([1., 2., 3., 3.])
     """
-    if values.size == 0:
-        return values
-    return np.asarray(median_filter(values[None], (1, count), mode="nearest")[0])
+    return running_medians(values.astype(float), count // 2) if values.size else values
 
 
 # Which columns of a picture have a line in them, and at which pixel it peaks.
