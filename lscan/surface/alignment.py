@@ -369,12 +369,13 @@ def apply(alignment: Alignment, surface: Surface) -> Surface:
     """
     require_head_frame(surface)
     turn, xyz = alignment.rotation, alignment.to_workpiece(surface.xyz_mm)
-    answered = displacement(xyz, alignment.pivot_mm, turn, alignment.yaw_rad) @ alignment.modes
-    modes = answered.astype(np.float32)
+    moved = displacement(xyz, alignment.pivot_mm, turn, alignment.yaw_rad)
+    answered = moved.reshape(-1, moved.shape[-1]) @ alignment.modes  # one product, not one a point
+    modes = answered.astype(np.float32).reshape(*xyz.shape, -1)
     if surface.modes_mm is not None:
         matrix = (turn @ shear(alignment.yaw_rad)).astype(np.float32)
         modes[..., : surface.modes_mm.shape[-1]] += matrix @ surface.modes_mm
-    total = np.square(modes, dtype=np.float64).sum(axis=-1)
+    total = _squares(modes)
     sigma = np.sqrt(own_variances(surface) @ (turn**2).T + total)
     return replace(
         surface,
@@ -402,7 +403,12 @@ def own_variances(surface: Surface) -> Floats:
     total = np.stack([surface.sigma_x_mm, y, surface.sigma_z_mm], axis=-1) ** 2
     if surface.modes_mm is None:
         return total
-    return np.maximum(total - np.square(surface.modes_mm, dtype=np.float64).sum(axis=-1), 0.0)
+    return np.maximum(total - _squares(surface.modes_mm), 0.0)
+
+
+def _squares(modes: NDArray[np.float32]) -> Floats:
+    """(...) sums of the squares of (..., M), in double precision, without a copy of all modes."""
+    return np.asarray(np.einsum("...m,...m->...", modes, modes, dtype=np.float64))
 
 
 def turned_modes(surface: Surface, matrix: Floats, index: Ints) -> NDArray[np.float32]:
