@@ -90,6 +90,7 @@ def compile_all() -> None:
     for kind in (np.uint8, np.int16):
         crests_of(np.ones((1, 9), kind))
         order_statistics(np.ones((1, 9), kind), 4, 0, 1)
+        count_second_differences(np.ones((1, 9), kind), 4)
     for kind in (np.uint8, np.float32):
         columns = np.ones((1, 9), kind)
         find_spots(columns, columns, 1.0, 3, False, bell, 1)
@@ -98,6 +99,8 @@ def compile_all() -> None:
     ridge_crossings(np.ones((3, 3)), noise, one, 0.5, bells, bells)
     third_differences(np.zeros(1), one, 1)
     running_medians(np.ones(1), 1)
+    pieces_of(used[0], np.zeros(3), 1.0)
+    end_doubts(np.zeros(3, np.int64), np.zeros(3), np.zeros(3), np.zeros(3), 1, 2)
     core_variance(np.ones(1), 0.0, 1, 1.0)
     shot_and_speckle(np.ones(1), np.ones(1), 1.0)
     linked_runs(one, one, one, 1)
@@ -656,6 +659,91 @@ def running_medians(values: Floats, half: int) -> Floats:
         rising[place] = new
         medians[n] = rising[half]
     return medians
+
+
+@compiled
+def pieces_of(valued: Mask, centre: Floats, jump_px: float) -> Ints:
+    """(N,) number of the piece that ``peaks.pieces`` gives each column.
+
+    Parameters
+    ----------
+    valued : (N,) mask, of the columns that have a value
+    centre : (N,) array, px
+    jump_px : float, px, by which a line moves to the next column at most
+    """
+    piece, number = np.full(len(centre), -1), -1
+    for n in range(len(centre)):
+        if valued[n]:
+            goes_on = n > 0 and valued[n - 1] and abs(centre[n] - centre[n - 1]) <= jump_px
+            number += 0 if goes_on else 1
+            piece[n] = number
+    return piece
+
+
+@compiled
+def end_doubts(
+    run: Ints, centre: Floats, variance: Floats, ln_flux: Floats, near: int, reach: int
+) -> Floats:
+    """(N,) px, what ``scatter._end_doubt`` says, from the variance across the line in px².
+
+    Parameters
+    ----------
+    run : (N,) array, number of the piece each column belongs to, -1 for none
+    centre, variance, ln_flux : (N,) array, of the line, px, px² and of DN; NaN where not known
+    near, reach : int, columns from an end, between which its slope and width are taken
+    """
+    doubt, last = np.zeros(len(run)), len(run) - 1
+    inner = np.empty(reach - near)
+    first = 0
+    while first <= last:
+        final = first
+        while final < last and run[final + 1] == run[first]:
+            final += 1
+        size = min(reach, final - first + 1)
+        for step in (1, -1):
+            end = first if step == 1 else final
+            if run[first] < 0 or size < 2 * near or end in (0, last):
+                continue
+            for i in range(near, size):
+                inner[i - near] = variance[end + step * i]
+            seen = inner[: size - near]
+            middle = np.median(seen) if seen.sum() == seen.sum() else np.nan  # it skips NaN
+            slope = centre[end + step * (size - 1)] - centre[end + step * near]
+            scale = abs(slope / (size - 1 - near)) * middle / sqrt(3)
+            before = 0.0
+            for i in range(size - 1):
+                at = end + step * i
+                fall = ln_flux[at + step] - ln_flux[at]
+                fall = 0.0 if fall <= 0 else fall  # NaN stays
+                mean = fall if i == 0 else (before + fall) / 2
+                doubt[at] = hypot(doubt[at], scale * (fall if fall >= mean else mean))
+                before = fall
+        first = final + 1
+    return doubt
+
+
+@compiled
+def count_second_differences(columns: GreyValues, most: int) -> Ints:
+    """How often each size of I[i-1] - 2 I[i] + I[i+1] along the columns occurs, from 0 to ``most``.
+
+    Parameters
+    ----------
+    columns : (W, H) array, whole DN, one column of the picture a row
+    most : int, DN, the greatest there can be
+    """
+    count, other = np.zeros(most + 1, np.int64), np.zeros(most + 1, np.int64)
+    for c in range(len(columns)):
+        grey = columns[c]
+        before, here = np.int64(grey[0]), np.int64(grey[min(1, len(grey) - 1)])
+        for p in range(2, len(grey)):
+            after = np.int64(grey[p])
+            size = abs(before - 2 * here + after)
+            if p % 2:  # most sizes are alike, and one counter would wait for itself
+                count[size] += 1
+            else:
+                other[size] += 1
+            before, here = here, after
+    return count + other
 
 
 @compiled

@@ -14,6 +14,7 @@ from lscan.stripe.kernels import (
     find_spots,
     linked_runs,
     order_statistics,
+    pieces_of,
     running_medians,
     total_profile,
 )
@@ -469,12 +470,7 @@ def pieces(stripe: Stripe) -> Ints:
     ----------
     stripe : Stripe, px, of N entries
     """
-    valued = has_value(stripe.status)
-    step = np.abs(np.diff(np.where(valued, stripe.centre_px, 0.0)))
-    goes_on = valued[1:] & valued[:-1] & (step <= JUMP_PX)
-    begins = valued.copy()
-    begins[1:] &= ~goes_on
-    return np.where(valued, np.cumsum(begins) - 1, -1)
+    return pieces_of(has_value(stripe.status), stripe.centre_px, JUMP_PX)
 
 
 def neighbours(piece: Ints, steps: Ints) -> tuple[Ints, Mask]:

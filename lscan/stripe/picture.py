@@ -11,7 +11,11 @@ from lscan.config.rig import LineChannel, NoiseSection
 from lscan.errors import InputError
 from lscan.files.pictures import colour_shift_px
 from lscan.records import Axis, Bytes, Floats, GreyValues, Ints, Mask
-from lscan.stripe.kernels import core_variance, shot_and_speckle
+from lscan.stripe.kernels import (
+    core_variance,
+    count_second_differences,
+    shot_and_speckle,
+)
 
 # The noise of a picture: as the rig file states it, or estimated from that picture alone.
 #
@@ -113,11 +117,13 @@ def constant_variance(columns: GreyValues) -> float:
     sample = columns[sample_of(len(columns))]
     with np.errstate(invalid="ignore"):
         grey = sample.astype(np.int16)
-    # Differences of bytes would overflow, those of single precision are rounded.
-    values = grey if (grey == sample).all() else sample.astype(np.float64)
-    differences = np.diff(values, n=2, axis=1)
     least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
-    return max(robust_variance(differences, least) / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
+    if (grey == sample).all():
+        count = count_second_differences(grey, 2 * int(np.ptp(grey)))
+        variance = _core_of_counts(count, least)
+    else:  # those of single precision are rounded
+        variance = robust_variance(np.diff(sample.astype(np.float64), n=2, axis=1), least)
+    return max(variance / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
 
 
 def sample_of(count: int) -> slice:
@@ -191,17 +197,21 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
 
     Parameters
     ----------
-    values : array, of any shape and unit; integers are counted, not sorted
+    values : array, of any shape and unit
     least : float, a variance there is in any case, where the search starts if most values agree
     """
     if values.size == 0:
         return 0.0
-    sizes = np.abs(values).ravel()
-    if not np.issubdtype(values.dtype, np.integer):
-        return core_variance(np.sort(sizes), least, _CUTS, _KEPT)
-    count = np.bincount(sizes)
+    sizes = np.abs(np.asarray(values, dtype=float))
+    return core_variance(np.sort(sizes, axis=None), least, _CUTS, _KEPT)
+
+
+def _core_of_counts(count: Ints, least: float) -> float:
+    """The same of whole numbers, so many of each size from 0 on."""
     sizes = np.arange(len(count))
     up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
+    if up_to[-1] == 0:
+        return 0.0
     middle = up_to.searchsorted([(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
     variance = max((1.4826 * float(middle.mean())) ** 2, least)
     for _ in range(_CUTS):

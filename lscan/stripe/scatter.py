@@ -23,7 +23,7 @@ import numpy as np
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Floats, GreyValues, Ints, Status, Stripe, has_value
 from lscan.stripe import peaks
-from lscan.stripe.kernels import third_differences, weighted_moments
+from lscan.stripe.kernels import end_doubts, third_differences, weighted_moments
 from lscan.stripe.picture import robust_variance, stated_noise
 
 _REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2
@@ -37,7 +37,7 @@ _FEWEST_DIFFERENCES = 32  # third differences
 _WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
 _SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
 _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
-_INSIDE, _FEWEST_INSIDE = slice(4, 12), 4  # columns from an end, beyond which it is not blurred
+_INSIDE = (4, 12)  # columns from an end, beyond which it is not blurred
 
 
 SeenLine = tuple[Stripe, GreyValues, Ints]
@@ -88,20 +88,9 @@ def _end_doubt(stripe: Stripe, light: "LightMoments") -> Floats:
     between both neighbours where that is more; the slope v' is the one farther inside, for at the
     end all light is that of the last column.
     """
-    doubt, run = np.zeros(len(stripe.status)), light.pieces(stripe)
-    for piece in range(run.max() + 1):
-        columns = np.flatnonzero(run == piece)
-        for end in (columns, columns[::-1]):
-            inner = end[_INSIDE]
-            if len(inner) < _FEWEST_INSIDE or end[0] in (0, len(run) - 1):
-                continue
-            slope = (stripe.centre_px[inner[-1]] - stripe.centre_px[inner[0]]) / (len(inner) - 1)
-            width = light.scale_px**2 * np.median(light.squared[inner])
-            near = end[: _INSIDE.stop]
-            fall = np.maximum(np.diff(np.log(light.flux[near])), 0.0)
-            fall[1:] = np.maximum(fall[1:], (fall[:-1] + fall[1:]) / 2)
-            doubt[near[:-1]] = np.hypot(doubt[near[:-1]], abs(slope) * width * fall / np.sqrt(3))
-    return np.nan_to_num(doubt)
+    variance = light.scale_px**2 * light.squared
+    found = (light.pieces(stripe), stripe.centre_px, variance, np.log(light.flux))
+    return np.nan_to_num(end_doubts(*found, *_INSIDE))
 
 
 def _widen_sigma(stripe: Stripe, light: "LightMoments") -> Stripe:
