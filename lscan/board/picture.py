@@ -5,12 +5,12 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from lscan.board.kernels import fit_marks
 from lscan.config.rig import Channel
 from lscan.errors import InputError
-from lscan.records import Floats, Ints, Mask
+from lscan.records import Floats, Mask
 
 # The centre of a mark: the maximum of a second-order polynomial fitted about it.
 #
@@ -28,13 +28,11 @@ from lscan.records import Floats, Ints, Mask
 
 SMALLEST_SIGMA_PX = 0.9  # a narrower Gaussian is not sampled well enough by whole pixels
 REACH = 4.0  # of sigma: the weights beyond are below 0.04 %
-RIDGE = 5.0  # ratio of the curvatures beyond which a mark is a ridge
 WIDER = 1.6
 MOST_MOVED = 0.1  # of the window's sigma: perspective and neighbours move a dot by half of that
 MOST_MOVED_SIGMAS = 6.0
 STEPS = 6  # Newton's steps
 STEPS_FROM_NEAR = 3  # from a start good to a tenth of a pixel
-AT_ONCE = 1_000_000  # grey values of the windows in memory: a processor's cache holds them
 
 
 @dataclass(frozen=True)
@@ -115,43 +113,7 @@ def fit_centres(
     if len(start) == 0:
         return Centres(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
     reach = int(np.ceil(REACH * sigma.max())) + 1
-    pieces = -(-len(start) * (2 * reach + 1) ** 2 // AT_ONCE)
-    fits = [
-        _fit_windows(flat, some, widths, noise, reach, steps, saddles)
-        for some, widths in zip(
-            np.array_split(start, pieces), np.array_split(sigma, pieces), strict=True
-        )
-    ]
-    return Centres(*map(np.concatenate, zip(*(vars(fit).values() for fit in fits), strict=True)))
-
-
-def _fit_windows(
-    flat: NDArray[np.floating],
-    start: Floats,
-    sigma: Floats,
-    noise: NDArray[np.floating],
-    reach: int,
-    steps: int,
-    saddles: bool,
-) -> Centres:
-    """As ``fit_centres``, in windows that reach so far about the starts."""
-    base = np.rint(start).astype(np.int64)
-    values = _windows(flat, base, reach)
-    offset = np.zeros((len(base), 2))
-    for _ in range(steps):
-        gradient, hessian, _ = _polynomial(values, offset, sigma, reach)
-        inverse, _ = _inverse(hessian, saddles)
-        step = -np.einsum("nij,nj->ni", inverse, gradient)
-        length = np.linalg.norm(step, axis=1, keepdims=True)
-        step *= np.minimum(1, sigma[:, None] / np.maximum(length, 1e-12))
-        offset = np.clip(offset + step, -reach, reach)
-    _, hessian, height = _polynomial(values, offset, sigma, reach)
-    inverse, wanted = _inverse(hessian, saddles)
-    variance = _windows(noise, base, reach) ** 2
-    scatter = _scatter(inverse, variance, offset, sigma, reach)
-    near = np.linalg.norm(offset, axis=1) <= np.maximum(1.5, sigma)
-    settled = np.linalg.norm(step, axis=1) < 0.01
-    return Centres(base + offset, height, scatter, wanted & near & settled)
+    return Centres(*fit_marks(flat, noise, start, sigma, reach, steps, saddles))
 
 
 def stand_alone(
@@ -172,86 +134,6 @@ def stand_alone(
     moved = np.linalg.norm(wider.points - centres.points, axis=1)
     own = np.hypot(wider.sigma_px, centres.sigma_px)
     return wider.round & (moved <= MOST_MOVED * sigma + MOST_MOVED_SIGMAS * own)
-
-
-def _windows(flat: NDArray[np.floating], base: Ints, reach: int) -> Floats:
-    """(N, window, window) of the picture about the pixels ``base`` (N, 2), 0 beyond its edge."""
-    low, high, size = base - reach, base + reach + 1, np.array(flat.shape[::-1])
-    whole = (low >= 0).all(axis=1) & (high <= size).all(axis=1)
-    found = np.zeros((len(base), 2 * reach + 1, 2 * reach + 1))
-    if whole.any():
-        windows = sliding_window_view(flat, found.shape[1:])
-        found[whole] = windows[low[whole, 1], low[whole, 0]]
-    for cut in np.flatnonzero(~whole):  # few: a copy of the picture with a margin takes longer
-        (left, top), (right, bottom) = np.clip([low[cut], high[cut]], 0, size)
-        u, v = low[cut]
-        found[cut, top - v : bottom - v, left - u : right - u] = flat[top:bottom, left:right]
-    return found
-
-
-def _polynomial(
-    values: Floats, offset: Floats, sigma: Floats, reach: int
-) -> tuple[Floats, Floats, Floats]:
-    """Gradient (N, 2), Hessian (N, 2, 2) and value (N,) at ``offset`` of the weighted fit.
-
-    The Gaussian weights separate into u and v, so all sums are products of moments.
-    """
-    span = np.arange(-reach, reach + 1)
-    distance = (span - offset[:, :, None]) / sigma[:, None, None]  # (N, 2, window)
-    weight = np.exp(-(distance**2) / 2)
-    powers = np.empty((len(values), 5, *weight.shape[1:]))  # (N, 5, 2, window)
-    powers[:, 0] = weight
-    for power in range(1, 5):
-        powers[:, power] = powers[:, power - 1] * distance
-    moment = powers.sum(axis=3)
-    in_u, in_v = powers[:, :3, 0], powers[:, :3, 1]
-    right = in_v @ values @ in_u.transpose(0, 2, 1)  # (N, power of v, power of u)
-    p, q = np.array([0, 1, 0, 2, 1, 0]), np.array([0, 0, 1, 0, 1, 2])  # of u and v: a to f
-    left = moment[:, p[:, None] + p, 0] * moment[:, q[:, None] + q, 1]
-    a, b, c, d, e, f = np.linalg.solve(left, right[:, q, p][..., None])[..., 0].T
-    gradient = np.stack([b, c], axis=1) / sigma[:, None]
-    hessian = np.stack([2 * d, e, e, 2 * f], axis=1).reshape(-1, 2, 2)
-    return gradient, hessian / sigma[:, None, None] ** 2, a
-
-
-def _inverse(hessian: Floats, saddles: bool) -> tuple[Floats, Mask]:
-    """Inverse of each Hessian, and which have a maximum no more than five times as long as wide.
-
-    saddles: or else which have curvatures that differ in sign and at most five times in size.
-    Where a Hessian is not as wanted the inverse is 0: no step is taken.
-    """
-    trace, determinant = np.trace(hessian, axis1=1, axis2=2), np.linalg.det(hessian)
-    # The ratio r of the curvatures gives trace^2 / determinant = (r + 1)^2 / r, of a saddle
-    # (r - 1)^2 / -r.
-    if saddles:
-        wanted = -determinant > trace**2 * RIDGE / (RIDGE - 1) ** 2
-    else:
-        wanted = (trace < 0) & (determinant > trace**2 * RIDGE / (RIDGE + 1) ** 2)
-    safe = np.where(wanted[:, None, None], hessian, np.eye(2))
-    return np.where(wanted[:, None, None], np.linalg.inv(safe), 0.0), wanted
-
-
-def _scatter(
-    inverse: Floats, variance: Floats, offset: Floats, sigma: Floats, reach: int
-) -> Floats:
-    """(N,) standard uncertainty of a coordinate, px, root mean square of u and v.
-
-    The gradient is the sum of w d f over that of w d^2, w the weights, d the distances and f
-    the grey values, of ``variance`` each (N, window, window); the inverse Hessian turns its
-    covariance into that of the maximum.
-    """
-    span = np.arange(-reach, reach + 1)
-    distance = span - offset[:, :, None]  # (N, 2, window)
-    weight = np.exp(-((distance / sigma[:, None, None]) ** 2) / 2)
-    square = np.stack([weight**2 * distance**power for power in range(3)], axis=1)
-    moment = square[:, :, 1] @ variance @ square[:, :, 0].transpose(0, 2, 1)  # by powers v, u
-    covariance = np.stack(
-        [moment[:, 0, 2], moment[:, 1, 1], moment[:, 1, 1], moment[:, 2, 0]], axis=1
-    ).reshape(-1, 2, 2)
-    total = weight.sum(axis=2).prod(axis=1) * sigma**2
-    solved = inverse @ covariance @ inverse.transpose(0, 2, 1) / total[:, None, None] ** 2
-    both: Floats = np.trace(solved, axis1=1, axis2=2) / 2
-    return np.sqrt(np.maximum(both, 0.0))
 
 
 # The picture as the search wants it: one grey value a pixel, marks bright, ground level.

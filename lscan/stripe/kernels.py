@@ -77,6 +77,9 @@ def compile_all() -> None:
     one = np.zeros(1, np.int64)
     linked_runs(one, one, one, 1)
     best_path(one, np.zeros(1), np.zeros(1), 1, 1.0, 1.0, 1.0)
+    from lscan.board.kernels import compile_marks  # it has its decorators from here
+
+    compile_marks()
 
 
 # Fisher's scoring for one Gaussian line after another (fit.py).
