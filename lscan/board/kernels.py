@@ -1,21 +1,27 @@
 """Loops over marks that are compiled: arrays in and arrays out, without records."""
 
-from math import exp, hypot, sqrt
+from math import atan2, cos, exp, hypot, nan, pi, sin, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.records import Floats, Mask
+from lscan.records import Floats, Ints, Mask
 from lscan.stripe.kernels import compiled, compiled_sums, factorise, solve_factorised
 
 
 def compile_marks() -> None:
     """Compile all loops, for the processes that follow."""
     for kind in (np.float32, np.float64):
-        fit_marks(
-            np.zeros((3, 3), kind), np.zeros((3, 3), kind), np.ones((1, 2)), np.ones(1), 5, 1, False
-        )
+        grey, one, number = np.zeros((3, 3), kind), np.ones((1, 2)), np.ones(1, np.int64)
+        fit_marks(grey, grey, one, np.ones(1), number, 1, False)
+    single, some = np.zeros((3, 3), np.float32), np.zeros((1, 1, 2))
+    brightest(single, np.ones((1, 2), np.int64), number)
+    places_expected(some), pitch_beside(some), means_beside(some), next_away(one, one)
+    round_peaks(single, single, 0.0, 4.0)
+    crosses(one, 1.0, 2.0, 4, 0.5)
+    local_polynomials(one, one, np.zeros((1, 1), np.int64), one, 1.0)
+    disc_shifts(np.ones((1, 2, 2)), np.ones((1, 2, 2, 2)), np.ones(1), np.ones(1))
 
 
 # The centres of marks (picture.py).
@@ -34,11 +40,11 @@ def fit_marks(
     noise: NDArray[np.floating[Any]],
     start: Floats,
     sigma: Floats,
-    reach: int,
+    reach: Ints,
     steps: int,
     saddles: bool,
 ) -> tuple[Floats, Floats, Floats, Mask]:
-    """The fields of ``picture.Centres``, of N marks in windows that reach so far about the starts.
+    """The fields of ``picture.Centres``, of N marks in windows about the starts.
 
     The Gaussian weights separate into u and v, so all sums are products of moments.
 
@@ -47,20 +53,23 @@ def fit_marks(
     flat, noise : (H, W) array, grey values and the standard deviation of each; 0 beyond
     start : (N, 2) array, px, of (u, v)
     sigma : (N,) array, px, of the weights
-    reach, steps : int, px; of Newton's method
+    reach : (N,) array, px, of the windows to all sides
+    steps : int, of Newton's method
     saddles : bool, whether saddles are sought, not maxima
     """
-    count, width = len(start), 2 * reach + 1
+    count = len(start)
     points, height, scatter = np.empty((count, 2)), np.empty(count), np.zeros(count)
     good = np.zeros(count, np.bool_)
-    grey, power = np.empty((width, width)), np.empty((2, _POWERS, width))
+    grey, power = np.empty((0, 0)), np.empty((2, _POWERS, 0))
     moment, left, right = np.empty((2, _POWERS)), np.empty((TERMS, TERMS)), np.empty(TERMS)
     # The ratio r of the curvatures gives trace² / determinant = (r + 1)² / r, of a saddle
     # (r - 1)² / -r.
     least = RIDGE / (RIDGE - 1) ** 2 if saddles else RIDGE / (RIDGE + 1) ** 2
     for k in range(count):
-        u, v = int(np.rint(start[k, 0])), int(np.rint(start[k, 1]))
-        _window(flat, u - reach, v - reach, grey)
+        u, v, width = int(np.rint(start[k, 0])), int(np.rint(start[k, 1])), 2 * reach[k] + 1
+        if len(grey) != width:
+            grey, power = np.empty((width, width)), np.empty((2, _POWERS, width))
+        _window(flat, u - reach[k], v - reach[k], grey)
         away, length, wide = np.zeros(2), 0.0, sigma[k]
         for turn in range(steps + 1):
             for axis in range(2):
@@ -85,22 +94,22 @@ def fit_marks(
             length = hypot(step_u, step_v)
             part = min(1.0, wide / max(length, 1e-12))
             length *= part
-            away[0] = min(max(away[0] + part * step_u, -reach), reach)
-            away[1] = min(max(away[1] + part * step_v, -reach), reach)
+            away[0] = min(max(away[0] + part * step_u, -reach[k]), reach[k])
+            away[1] = min(max(away[1] + part * step_v, -reach[k]), reach[k])
         points[k, 0], points[k, 1], height[k] = u + away[0], v + away[1], right[0]
         if not wanted:
             continue
         good[k] = hypot(away[0], away[1]) <= max(1.5, wide) and length < 0.01
         # The gradient is the sum of w d f over that of w d², w the weights, d the distances and
         # f the grey values; the inverse Hessian turns its covariance into that of the maximum.
-        _window(noise, u - reach, v - reach, grey)
+        _window(noise, u - reach[k], v - reach[k], grey)
         for j in range(width):
             for i in range(width):
                 grey[j, i] *= grey[j, i]
         for axis in range(2):
             for i in range(width):
                 squared = power[axis, 0, i] ** 2
-                distance = i - reach - away[axis]
+                distance = i - reach[k] - away[axis]
                 power[axis, 0, i], power[axis, 1, i] = squared, squared * distance
                 power[axis, 2, i] = squared * distance**2
         _sums(grey, power, right)
@@ -116,15 +125,35 @@ def fit_marks(
 def _window(picture: NDArray[np.floating[Any]], left: int, top: int, window: Floats) -> None:
     """Fill a window with the picture from a pixel on, with 0 beyond the picture's edge."""
     rows, columns = picture.shape
-    for j in range(len(window)):
-        row = top + j
-        if row < 0 or row >= rows:
-            window[j] = 0.0
-            continue
-        for i in range(window.shape[1]):
-            column = left + i
-            inside = column >= 0 and column < columns
-            window[j, i] = picture[row, column] if inside else 0.0
+    first, last = max(left, 0), min(left + window.shape[1], columns)
+    window[:] = 0.0
+    for j in range(max(-top, 0), min(len(window), rows - top)):
+        row, own = picture[top + j], window[j]
+        for column in range(first, last):
+            own[column - left] = row[column]
+
+
+@compiled
+def brightest(smooth: NDArray[np.float32], middle: Ints, half: Ints) -> Ints:
+    """(N, 2) px of the brightest pixel in each box, the uppermost and leftmost where several are.
+
+    Parameters
+    ----------
+    smooth : (H, W) array, grey values
+    middle : (N, 2) array, px, (u, v) of the boxes; itself where a box lies beside the picture
+    half : (N,) array, px, half their sides
+    """
+    rows, columns = smooth.shape
+    found = middle.copy()
+    for k in range(len(middle)):
+        best = -np.inf
+        u, v = middle[k]
+        for row in range(max(v - half[k], 0), min(v + half[k] + 1, rows)):
+            for column in range(max(u - half[k], 0), min(u + half[k] + 1, columns)):
+                if smooth[row, column] > best:
+                    best = smooth[row, column]
+                    found[k, 0], found[k, 1] = column, row
+    return found
 
 
 @compiled_sums
@@ -145,16 +174,320 @@ def _powers(away: float, sigma: float, power: Floats, moment: Floats) -> None:
 def _sums(grey: Floats, power: Floats, right: Floats) -> None:
     """The sums of a window's values times the weighted terms of the polynomial."""
     right[:] = 0.0
+    weight, by_x, by_square = power[0, 0], power[0, 1], power[0, 2]
     for j in range(len(grey)):
-        one, x, square = 0.0, 0.0, 0.0
-        for i in range(grey.shape[1]):
-            value = grey[j, i]
-            one += power[0, 0, i] * value
-            x += power[0, 1, i] * value
-            square += power[0, 2, i] * value
+        row, one, x, square = grey[j], 0.0, 0.0, 0.0
+        for i in range(len(row)):
+            one += weight[i] * row[i]
+            x += by_x[i] * row[i]
+            square += by_square[i] * row[i]
         right[0] += power[1, 0, j] * one
         right[1] += power[1, 0, j] * x
         right[2] += power[1, 1, j] * one
         right[3] += power[1, 0, j] * square
         right[4] += power[1, 1, j] * x
         right[5] += power[1, 2, j] * one
+
+
+# The walk from mark to mark (search.py).
+
+
+NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
+_CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+_GUESSES = np.array(
+    [(r, c, r, c, 2 * r, 2 * c) for r, c in NEXT] + [(r, 0, 0, c, r, c) for r, c in _CORNERS]
+)
+"""Steps to three nodes, the first two less the third of which is where a node should be."""
+
+
+@compiled
+def places_expected(points: Floats) -> Floats:
+    """As ``search.expected_places``.
+
+    Parameters
+    ----------
+    points : (R, C, 2) array, px
+    """
+    rows, columns = points.shape[:2]
+    expected = np.full_like(points, nan)
+    for r in range(rows):
+        for c in range(columns):
+            count, u, v = 0, 0.0, 0.0
+            for i, j, k, m, far_r, far_c in _GUESSES:
+                if not (0 <= r + far_r < rows and 0 <= c + far_c < columns):
+                    continue
+                one, other, far = (
+                    points[r + i, c + j],
+                    points[r + k, c + m],
+                    points[r + far_r, c + far_c],
+                )
+                if np.isfinite(one[0] + other[0] - far[0]):
+                    count += 1
+                    u += one[0] + other[0] - far[0]
+                    v += one[1] + other[1] - far[1]
+            if count > 0:
+                expected[r, c, 0], expected[r, c, 1] = u / count, v / count
+    return expected
+
+
+@compiled
+def pitch_beside(points: Floats) -> Floats:
+    """As ``search.local_pitch``.
+
+    Parameters
+    ----------
+    points : (R, C, 2) array, px
+    """
+    rows, columns = points.shape[:2]
+    pitch = np.full((rows, columns), nan)
+    for r in range(rows):
+        for c in range(columns):
+            ways, total = 0, 0.0
+            for axis in range(2):
+                count, length = 0, 0.0
+                for way in range(2):
+                    i, j = NEXT[2 * axis + way]
+                    if 0 <= r + i < rows and 0 <= c + j < columns:
+                        away = points[r + i, c + j] - points[r, c]
+                        if np.isfinite(away[0]):
+                            count += 1
+                            length += hypot(away[0], away[1])
+                if count > 0:
+                    ways += 1
+                    total += length / count
+            if ways > 0:
+                pitch[r, c] = total / ways
+    return pitch
+
+
+@compiled
+def means_beside(values: Floats) -> Floats:
+    """As ``search.mean_beside``.
+
+    Parameters
+    ----------
+    values : (R, C, K) array
+    """
+    rows, columns, kinds = values.shape
+    mean = np.full_like(values, nan)
+    for r in range(rows):
+        for c in range(columns):
+            for k in range(kinds):
+                count, total = 0, 0.0
+                for i, j in NEXT:
+                    if 0 <= r + i < rows and 0 <= c + j < columns:
+                        value = values[r + i, c + j, k]
+                        if np.isfinite(value):
+                            count += 1
+                            total += value
+                if count > 0:
+                    mean[r, c, k] = total / count
+    return mean
+
+
+@compiled
+def next_away(points: Floats, others: Floats) -> Floats:
+    """(N,) distance from each point to the nearest of the other points and of others.
+
+    Parameters
+    ----------
+    points, others : (N, 2) and (M, 2) array, px
+    """
+    found = np.empty(len(points))
+    for k in range(len(points)):
+        least = np.inf
+        for several, own in ((points, k), (others, -1)):
+            for n in range(len(several)):
+                u, v = several[n, 0] - points[k, 0], several[n, 1] - points[k, 1]
+                if n != own:
+                    least = min(least, u * u + v * v)
+        found[k] = sqrt(least)
+    return found
+
+
+# Round marks of one size, and crosses of them (search.py).
+
+
+@compiled
+def round_peaks(
+    smooth: NDArray[np.float32], bent: NDArray[np.float32], floor: float, longest: float
+) -> Ints:
+    """(N, 2) rows and columns of pixels about which a picture falls off in all directions alike.
+
+    Parameters
+    ----------
+    smooth, bent : (H, W) array, the picture and its negative Laplacian, which is greatest there
+    floor : float, what that exceeds
+    longest : float, greatest ratio of the curvatures along and across
+    """
+    rows, columns = smooth.shape
+    found = []
+    least = longest / (longest + 1) ** 2
+    for r in range(1, rows - 1):
+        for c in range(1, columns - 1):
+            here = bent[r, c]
+            if here <= floor or here < bent[r, c - 1] or here < bent[r, c + 1]:
+                continue
+            above, under = bent[r - 1, c - 1 : c + 2], bent[r + 1, c - 1 : c + 2]
+            if here < above.max() or here < under.max():
+                continue
+            middle = 2.0 * smooth[r, c]
+            uu = smooth[r, c + 1] + smooth[r, c - 1] - middle
+            vv = smooth[r + 1, c] + smooth[r - 1, c] - middle
+            uv = smooth[r + 1, c + 1] + smooth[r - 1, c - 1] + 0.0
+            uv = (uv - smooth[r + 1, c - 1] - smooth[r - 1, c + 1]) / 4
+            if uu + vv < 0 and uu * vv - uv * uv > (uu + vv) ** 2 * least:
+                found.append((r, c))
+    peaks = np.empty((len(found), 2), np.int64)
+    for k in range(len(found)):
+        peaks[k, 0], peaks[k, 1] = found[k]
+    return peaks
+
+
+@compiled
+def crosses(points: Floats, low: float, high: float, most: int, lean: float) -> Floats:
+    """(N, 8) px: steps to the nearest point right, left, beneath and above; NaN unless all are.
+
+    Parameters
+    ----------
+    points : (N, 2) array, px, of (u, v)
+    low, high : float, px, from and up to which a point is one beside another
+    most : int, of the nearest points that are looked at
+    lean : float, tangent of the most a row may lean against a column's square
+    """
+    found, count = np.full((len(points), 8), nan), len(points)
+    order = np.argsort(points[:, 1], kind="mergesort")
+    first = 0
+    squares, near = np.empty(most), np.empty((most, 2))
+    for k in order:
+        here = points[k]
+        while points[order[first], 1] < here[1] - high:
+            first += 1
+        held = 0  # sorted by distance
+        for n in range(first, count):
+            u, v = points[order[n], 0] - here[0], points[order[n], 1] - here[1]
+            if v >= high:
+                break
+            square = u * u + v * v
+            if square >= high * high or order[n] == k or (held == most and square >= squares[-1]):
+                continue
+            held = min(held + 1, most)
+            place = held - 1
+            while place > 0 and squares[place - 1] > square:
+                squares[place], near[place] = squares[place - 1], near[place - 1]
+                place -= 1
+            squares[place], near[place, 0], near[place, 1] = square, u, v
+        begin = 0
+        while begin < held and squares[begin] < low * low:
+            begin += 1
+        if held - begin < 4:
+            continue
+        # Turned, by 45 degrees at most, so that the nearest neighbour lies on an axis.
+        angle = atan2(near[begin, 1], near[begin, 0])
+        angle -= np.rint(angle / (pi / 2)) * (pi / 2)
+        across, down = cos(angle), sin(angle)
+        for n in range(held - 1, begin - 1, -1):  # the nearest last
+            u, v = near[n]
+            along, off = u * across + v * down, v * across - u * down
+            if abs(off) < lean * abs(along):
+                way = 0 if along > 0 else 2
+            elif abs(along) < lean * abs(off):
+                way = 4 if off > 0 else 6
+            else:
+                continue
+            found[k, way], found[k, way + 1] = u, v
+    return found
+
+
+# The local map about places of the board (lattice.py).
+
+
+@compiled_sums
+def local_polynomials(
+    board: Floats, image: Floats, index: Ints, places: Floats, pitch: float
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Second-order polynomials through the points nearest to M places.
+
+    Parameters
+    ----------
+    board, image : (N, 2) array, mm and px, of the points
+    index : (M, K) array, of those nearest to each place
+    places : (M, 2) array, mm
+    pitch : float, mm, the unit of the polynomials
+
+    Returns
+    -------
+    tuple of array
+        (M, 6, 6) left and (M, 6, 3) right sides of the normal equations, the last of the terms'
+        own variance; (M, 6, 3) their solutions; and (M,) determinants over the diagonals' products.
+    """
+    count = len(places)
+    left, right = np.zeros((count, TERMS, TERMS)), np.zeros((count, TERMS, 3))
+    solved, free = np.empty((count, TERMS, 3)), np.empty(count)
+    design, column, factors = np.ones(TERMS), np.empty(TERMS), np.empty((TERMS, TERMS))
+    for m in range(count):
+        for n in index[m]:
+            x = (board[n, 0] - places[m, 0]) / pitch
+            z = (board[n, 1] - places[m, 1]) / pitch
+            design[1], design[2], design[3], design[4], design[5] = x, z, x * x, x * z, z * z
+            for i in range(TERMS):
+                for j in range(TERMS):
+                    left[m, i, j] += design[i] * design[j]
+                right[m, i, 0] += design[i] * image[n, 0]
+                right[m, i, 1] += design[i] * image[n, 1]
+        right[m, 0, 2] = 1.0
+        factors[:] = left[m]
+        factorise(factors)
+        free[m] = 1.0
+        for i in range(TERMS):
+            free[m] *= factors[i, i] / left[m, i, i]
+        for k in range(3):
+            column[:] = right[m, :, k]
+            solve_factorised(factors, column)
+            solved[m, :, k] = column
+    return left, right, solved, free
+
+
+_RINGS, _SPOKES = 3, 8  # quadrature over a disc: exact to the fifth order in its points
+_STEPS = 2  # Newton's; the shift is small beside the window, so the first is good to a percent
+_NODES, _SHARES = np.polynomial.legendre.leggauss(_RINGS)  # in the area
+
+
+@compiled_sums
+def disc_shifts(jacobian: Floats, bend: Floats, radius: Floats, variance: Floats) -> Floats:
+    """(N, 2) px from the image of each disc's centre to the maximum of its smoothed image.
+
+    Parameters
+    ----------
+    jacobian, bend : (N, 2, 2) and (N, 2, 2, 2) array, px and mm, of the map about the centres
+    radius : (N,) array, mm, of the discs
+    variance : (N,) array, px², of the smoothing
+    """
+    count = len(jacobian)
+    top, image = np.zeros((count, 2)), np.empty((_RINGS * _SPOKES, 2))
+    mass, by, half = np.empty(len(image)), np.empty((2, 2)), np.empty((2, 2))
+    for k in range(count):
+        for q in range(len(image)):
+            reach = radius[k] * sqrt((_NODES[q // _SPOKES] + 1) / 2)
+            angle = 2 * pi * (q % _SPOKES) / _SPOKES
+            x, z = reach * cos(angle), reach * sin(angle)
+            for c in range(2):
+                for i in range(2):
+                    bent = bend[k, c, i, 0] * x + bend[k, c, i, 1] * z
+                    by[c, i], half[c, i] = jacobian[k, c, i] + bent, jacobian[k, c, i] + bent / 2
+                image[q, c] = half[c, 0] * x + half[c, 1] * z
+            area = by[0, 0] * by[1, 1] - by[0, 1] * by[1, 0]
+            mass[q] = _SHARES[q // _SPOKES] * abs(area)
+        for _ in range(_STEPS):
+            total, by_u, by_v, uu, uv, vv = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for q in range(len(image)):
+                u, v = image[q, 0] - top[k, 0], image[q, 1] - top[k, 1]
+                weight = mass[q] * exp(-(u * u + v * v) / (2 * variance[k]))
+                total += weight
+                by_u, by_v = by_u + weight * u, by_v + weight * v
+                uu, uv, vv = uu + weight * u * u, uv + weight * u * v, vv + weight * v * v
+            uu, uv, vv = uu / variance[k] - total, uv / variance[k], vv / variance[k] - total
+            determinant = uu * vv - uv * uv
+            top[k, 0] -= (vv * by_u - uv * by_v) / determinant
+            top[k, 1] -= (uu * by_v - uv * by_u) / determinant
+    return top

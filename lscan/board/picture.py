@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from lscan.board.kernels import fit_marks
 from lscan.config.rig import Channel
 from lscan.errors import InputError
-from lscan.records import Floats, Mask
+from lscan.records import Floats, Ints, Mask
 
 # The centre of a mark: the maximum of a second-order polynomial fitted about it.
 #
@@ -91,6 +91,7 @@ def fit_centres(
     noise: NDArray[np.floating],
     steps: int = STEPS,
     saddles: bool = False,
+    kind: Ints | None = None,
 ) -> Centres:
     """Maxima near ``start`` of second-order polynomials fitted to the picture, or saddles.
 
@@ -105,6 +106,8 @@ def fit_centres(
         that meet are the same seen from their corner but for the sign, so it is where the gradient
         vanishes under a Gaussian of any size and any blur.  ``round`` then says that it is a
         saddle, no more than five times as steep one way as the other.
+    kind : (N,) array, optional, number of each mark's kind: those of one are seen in windows as
+        large as their widest needs; all by default
 
     References
     ----------
@@ -112,12 +115,19 @@ def fit_centres(
     """
     if len(start) == 0:
         return Centres(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
-    reach = int(np.ceil(REACH * sigma.max())) + 1
+    kind = np.zeros(len(start), np.int64) if kind is None else kind
+    widest = np.zeros(kind.max() + 1)
+    np.maximum.at(widest, kind, sigma)
+    reach = np.ceil(REACH * widest[kind]).astype(np.int64) + 1
     return Centres(*fit_marks(flat, noise, start, sigma, reach, steps, saddles))
 
 
 def stand_alone(
-    flat: NDArray[np.floating], centres: Centres, sigma: Floats, noise: NDArray[np.floating]
+    flat: NDArray[np.floating],
+    centres: Centres,
+    sigma: Floats,
+    noise: NDArray[np.floating],
+    kind: Ints | None = None,
 ) -> Mask:
     """(N,) mask of the marks whose centre stays where it is in a window 1.6 times as wide.
 
@@ -129,8 +139,9 @@ def stand_alone(
     centres : Centres, px, that ``fit_centres`` found
     sigma : (N,) array, px, of the windows it used
     noise : (H, W) array, grey values, as for ``fit_centres``
+    kind : (N,) array, optional, as for ``fit_centres``
     """
-    wider = fit_centres(flat, centres.points, WIDER * sigma, noise, STEPS_FROM_NEAR)
+    wider = fit_centres(flat, centres.points, WIDER * sigma, noise, STEPS_FROM_NEAR, kind=kind)
     moved = np.linalg.norm(wider.points - centres.points, axis=1)
     own = np.hypot(wider.sigma_px, centres.sigma_px)
     return wider.round & (moved <= MOST_MOVED * sigma + MOST_MOVED_SIGMAS * own)
@@ -263,8 +274,9 @@ def shrink(bright: Image, reduction: int) -> Image:
     if reduction == 1:
         return bright
     height, width = (length // reduction for length in bright.shape)
-    whole = bright[: height * reduction, : width * reduction]
-    return whole.reshape(height, reduction, width, reduction).mean(axis=(1, 3), dtype=np.float32)
+    rows = np.asarray(sum(bright[k : height * reduction : reduction] for k in range(reduction)))
+    total = sum(rows[:, k : width * reduction : reduction] for k in range(reduction))
+    return np.asarray(total / np.float32(reduction**2))
 
 
 def working_reduction(bright: Image, dot_radius_px: float) -> int:

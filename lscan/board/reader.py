@@ -26,7 +26,7 @@ from lscan.board.lattice import (
     place_on_board,
     shift_of_discs,
 )
-from lscan.board.marks import Contrast, mark_status, read_dot, read_ring, read_ruler
+from lscan.board.marks import Contrast, mark_status, read_ring, read_round_marks
 from lscan.board.picture import (
     IMMERKAER,
     STEPS_FROM_NEAR,
@@ -201,13 +201,14 @@ def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board)
     nodes = _remeasure(picture, nodes, mapping, board)
     mapping = local_map(complete_nodes(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
+    rulers, dots = read_round_marks(picture, mapping, contrast, board)
     reading = BoardReading(
         image_size=picture.size,
         pitch_mm=board.grid.pitch_mm,
         shape=(nodes.height.shape[0], nodes.height.shape[1]),
         grid=_grid_marks(picture, nodes, mapping, board.grid),
-        rulers=tuple(read_ruler(picture, mapping, contrast, ruler) for ruler in board.ruler),
-        dots={dot.name: read_dot(picture, mapping, contrast, dot) for dot in board.dot},
+        rulers=rulers,
+        dots=dots,
         rings={ring.name: read_ring(picture, mapping, contrast, ring) for ring in board.ring},
     )
     return less_sure(reading, lattice_scatter(nodes))
