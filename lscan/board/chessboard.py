@@ -18,7 +18,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from lscan.board.kernels import NEXT
 from lscan.board.lattice import grid_points_mm
 from lscan.board.picture import (
     SMALLEST_SIGMA_PX,
@@ -28,7 +27,7 @@ from lscan.board.picture import (
     fit_centres,
     noise_of,
 )
-from lscan.board.search import Nodes, find_crosses, local_pitch, seed_nodes, shift_by, spread
+from lscan.board.search import NEXT, Nodes, find_crosses, local_pitch, seed_nodes, shift_by, spread
 from lscan.config.rig import Channel
 from lscan.errors import BoardNotFound, InputError
 from lscan.records import Bytes, Floats, Ints, Marks, Mask, Status

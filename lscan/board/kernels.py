@@ -17,7 +17,8 @@ def compile_marks() -> None:
         fit_marks(grey, grey, one, np.ones(1), number, 1, False)
     single, some = np.zeros((3, 3), np.float32), np.zeros((1, 1, 2))
     brightest(single, np.ones((1, 2), np.int64), number)
-    places_expected(some), pitch_beside(some), means_beside(some), next_away(one, one)
+    means_of_known(some, np.zeros((1, 6), np.int64))
+    next_away(one, one)
     round_peaks(single, single, 0.0, 4.0)
     crosses(one, 1.0, 2.0, 4, 0.5)
     local_polynomials(one, one, np.zeros((1, 1), np.int64), one, 1.0)
@@ -192,81 +193,15 @@ def _sums(grey: Floats, power: Floats, right: Floats) -> None:
 # The walk from mark to mark (search.py).
 
 
-NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
-_CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
-_GUESSES = np.array(
-    [(r, c, r, c, 2 * r, 2 * c) for r, c in NEXT] + [(r, 0, 0, c, r, c) for r, c in _CORNERS]
-)
-"""Steps to three nodes, the first two less the third of which is where a node should be."""
-
-
 @compiled
-def places_expected(points: Floats) -> Floats:
-    """As ``search.expected_places``.
+def means_of_known(values: Floats, guesses: Ints) -> Floats:
+    """(R, C, K) means of the guesses at each node that are known; NaN where none is.
 
     Parameters
     ----------
-    points : (R, C, 2) array, px
-    """
-    rows, columns = points.shape[:2]
-    expected = np.full_like(points, nan)
-    for r in range(rows):
-        for c in range(columns):
-            count, u, v = 0, 0.0, 0.0
-            for i, j, k, m, far_r, far_c in _GUESSES:
-                if not (0 <= r + far_r < rows and 0 <= c + far_c < columns):
-                    continue
-                one, other, far = (
-                    points[r + i, c + j],
-                    points[r + k, c + m],
-                    points[r + far_r, c + far_c],
-                )
-                if np.isfinite(one[0] + other[0] - far[0]):
-                    count += 1
-                    u += one[0] + other[0] - far[0]
-                    v += one[1] + other[1] - far[1]
-            if count > 0:
-                expected[r, c, 0], expected[r, c, 1] = u / count, v / count
-    return expected
-
-
-@compiled
-def pitch_beside(points: Floats) -> Floats:
-    """As ``search.local_pitch``.
-
-    Parameters
-    ----------
-    points : (R, C, 2) array, px
-    """
-    rows, columns = points.shape[:2]
-    pitch = np.full((rows, columns), nan)
-    for r in range(rows):
-        for c in range(columns):
-            ways, total = 0, 0.0
-            for axis in range(2):
-                count, length = 0, 0.0
-                for way in range(2):
-                    i, j = NEXT[2 * axis + way]
-                    if 0 <= r + i < rows and 0 <= c + j < columns:
-                        away = points[r + i, c + j] - points[r, c]
-                        if np.isfinite(away[0]):
-                            count += 1
-                            length += hypot(away[0], away[1])
-                if count > 0:
-                    ways += 1
-                    total += length / count
-            if ways > 0:
-                pitch[r, c] = total / ways
-    return pitch
-
-
-@compiled
-def means_beside(values: Floats) -> Floats:
-    """As ``search.mean_beside``.
-
-    Parameters
-    ----------
-    values : (R, C, K) array
+    values : (R, C, K) array, NaN where nothing is known
+    guesses : (G, 6) array, steps in rows and columns to three nodes: the values of the first two
+        less that of the third
     """
     rows, columns, kinds = values.shape
     mean = np.full_like(values, nan)
@@ -274,12 +209,14 @@ def means_beside(values: Floats) -> Floats:
         for c in range(columns):
             for k in range(kinds):
                 count, total = 0, 0.0
-                for i, j in NEXT:
-                    if 0 <= r + i < rows and 0 <= c + j < columns:
-                        value = values[r + i, c + j, k]
-                        if np.isfinite(value):
+                for up, left, down, right, far, off in guesses:
+                    # The third node is farthest: the others are nodes where it is one.
+                    if 0 <= r + far < rows and 0 <= c + off < columns:
+                        guess = values[r + up, c + left, k] + values[r + down, c + right, k]
+                        guess -= values[r + far, c + off, k]
+                        if np.isfinite(guess):
                             count += 1
-                            total += value
+                            total += guess
                 if count > 0:
                     mean[r, c, k] = total / count
     return mean

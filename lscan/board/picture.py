@@ -334,7 +334,7 @@ def rounding_of(bright: Image) -> float:
     return max(float(np.ptp(bright)), 1e-6) / 255 / float(np.sqrt(12))
 
 
-def prepare(bright: Image, dot_radius_px: float) -> BoardPicture:
+def prepare(bright: Image, dot_radius_px: float, noise: float) -> BoardPicture:
     """The picture levelled and smoothed for dots of about one radius.
 
     The ground is the median over a window of three dot diameters, then smoothed: a slope of
@@ -346,32 +346,35 @@ def prepare(bright: Image, dot_radius_px: float) -> BoardPicture:
     ----------
     bright : (H, W) array, grey values, marks bright
     dot_radius_px : float, px, of the control dots
+    noise : float, standard deviation of a grey value
     """
-    ground = _ground(bright, dot_radius_px)
-    gain = _gain(ground)
-    flat: Image = (bright - ground) * gain
+    small = _ground(bright, dot_radius_px)
+    ground = enlarge(small, bright.shape)
+    gain = _gain(ground, float(np.median(small)))
+    flat = bright - ground
+    flat *= gain
     sigma = float(window_sigma(np.array([dot_radius_px]))[0])
     smooth = np.asarray(
         cv2.GaussianBlur(flat, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
     )
-    return BoardPicture(flat, smooth, gain, gain * np.float32(noise_of(bright)))
+    return BoardPicture(flat, smooth, gain, gain * np.float32(noise))
 
 
-def _gain(ground: Image) -> Image:
-    """What brings the plate to its median brightness, within a factor of four; 1 if it is dark.
+def _gain(ground: Image, usual: float) -> Image:
+    """What brings the plate to its usual brightness, within a factor of four; 1 if it is dark.
 
     The contrast of dark marks is that of the light on the plate: where it falls to one side it
     draws the marks' maxima to the other, by a quarter of the radius squared times its relative
     slope.  A dark plate's grey value does not show the light.
     """
-    usual = float(np.median(ground))
     if usual >= 0:
         return np.ones_like(ground)
-    return np.clip(usual / np.minimum(ground, usual / 4), 0.25, 4.0).astype(np.float32)
+    gain = np.minimum(ground, usual / 4)
+    return np.clip(np.divide(usual, gain, out=gain), 0.25, 4.0, out=gain)
 
 
 def _ground(bright: Image, dot_radius_px: float) -> Image:
-    """(H, W) the ground; of a large picture with large dots, from a smaller copy: it is smooth."""
+    """The ground; of a large picture with large dots, of a smaller copy: it is smooth."""
     reduction = working_reduction(bright, dot_radius_px)
     small = shrink(bright, reduction)
     window = 2 * int(np.ceil(GROUND_WINDOW * dot_radius_px / reduction)) + 1
@@ -379,4 +382,4 @@ def _ground(bright: Image, dot_radius_px: float) -> Image:
     step = max(high - low, 1e-6) / 255
     median = cv2.medianBlur(np.round((small - low) / step).astype(np.uint8), window)
     smoothed = cv2.GaussianBlur(median.astype(np.float32), (0, 0), window / 4)
-    return enlarge(smoothed * np.float32(step) + np.float32(low), bright.shape)
+    return smoothed * np.float32(step) + np.float32(low)

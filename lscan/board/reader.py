@@ -28,7 +28,6 @@ from lscan.board.lattice import (
 )
 from lscan.board.marks import Contrast, mark_status, read_ring, read_round_marks
 from lscan.board.picture import (
-    IMMERKAER,
     STEPS_FROM_NEAR,
     BoardPicture,
     Image,
@@ -219,8 +218,10 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
     grid = board.grid
     shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
     faults = []
-    for seeds in _proposals(bright, board):
-        picture, nodes, fault = _search_dots(bright, grid, seeds, shape, (grid.rows, grid.columns))
+    noise = noise_of(bright)
+    for seeds in _proposals(bright, board, noise):
+        corner = grid.rows, grid.columns
+        picture, nodes, fault = _search_dots(bright, noise, grid, seeds, shape, corner)
         if fault is None:
             return picture, nodes.part(nodes.extent())
         faults.append((int(nodes.found.sum()), fault))
@@ -228,7 +229,7 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
     raise BoardNotFound(f"the board was not found: {most[1]}")
 
 
-def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
+def _proposals(bright: Image, board: Board, noise: float) -> Iterator[Floats]:
     """Seeds to begin with; of a large picture, those that a smaller copy shows come first."""
     reduction = reduction_of(bright)
     if reduction > 1:
@@ -236,13 +237,14 @@ def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
         with suppress(BoardNotFound):  # dots may be too small in it
             for seeds in propose_seeds(small, board, noise_of(small)):
                 yield (seeds + 0.5) * reduction - 0.5
-    yield from propose_seeds(bright, board, noise_of(bright))
+    yield from propose_seeds(bright, board, noise)
 
 
 def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPicture, Nodes]:
     """The dots found from seeds given by hand, the first of which is the origin."""
     grid = board.grid
-    picture, nodes, fault = _search_dots(bright, grid, seeds, (grid.rows, grid.columns), (0, 0))
+    shape, noise = (grid.rows, grid.columns), noise_of(bright)
+    picture, nodes, fault = _search_dots(bright, noise, grid, seeds, shape, (0, 0))
     if fault is not None:
         given = np.round(seeds, 1).tolist()
         raise BoardNotFound(f"the board was not found from the seeds {given}: {fault}")
@@ -253,14 +255,19 @@ def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPictu
 
 
 def _search_dots(
-    bright: Image, grid: Grid, seeds: Floats, shape: tuple[int, int], corner: tuple[int, int]
+    bright: Image,
+    noise: float,
+    grid: Grid,
+    seeds: Floats,
+    shape: tuple[int, int],
+    corner: tuple[int, int],
 ) -> tuple[BoardPicture, Nodes, str | None]:
     """The picture levelled, the dots found from seeds, and what speaks against them.
 
     shape: of the nodes to fill.  corner: the node of the first seed.
     """
     pitch_px = float(np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
-    picture = prepare(bright, pitch_px * dot_part(grid) / 2)
+    picture = prepare(bright, pitch_px * dot_part(grid) / 2, noise)
     nodes = grow(picture, seeds, shape, corner, dot_part(grid))
     drop_outliers(nodes, grid.pitch_mm)
     drop_islands(nodes)
@@ -350,11 +357,14 @@ def _plate_levels(
 
     The norm of Immerkær's mask (picture.noise_of) is 6.
     """
-    response = cv2.filter2D(bright, cv2.CV_32F, IMMERKAER)
-    plate = _clear_of(nodes, radius_px, bright.shape)
-    thinning = max(1, int(plate.sum()) // MOST_PIXELS)
-    values = response[plate][::thinning].astype(float)
-    level = smooth[plate][::thinning].astype(float)
+    plate = np.flatnonzero(_clear_of(nodes, radius_px, bright.shape))
+    some, grey = plate[:: max(1, len(plate) // MOST_PIXELS)], bright.ravel()
+    below = bright.shape[1]
+    above, middle, under = (
+        grey[some + row - 1] - 2 * grey[some + row] + grey[some + row + 1]
+        for row in (-below, 0, below)
+    )
+    values, level = (above - 2 * middle + under).astype(float), smooth.ravel()[some].astype(float)
     count = int(np.clip(len(level) // FEWEST_PIXELS, 1, LEVELS))
     order = np.argsort(level, kind="stable")
     parts = np.array_split(order, count)
@@ -373,7 +383,7 @@ def _clear_of(nodes: Nodes, radius_px: float, shape: tuple[int, ...]) -> Mask:
         cv2.circle(clear, (int(u), int(v)), radius, 0, -1)
     if clear.sum() < FEWEST_PIXELS:
         clear[1:-1, 1:-1] = 1
-    return clear.astype(bool)
+    return clear.view(bool)
 
 
 def _dot_level(bright: Image, nodes: Nodes) -> tuple[float, float] | None:

@@ -14,10 +14,8 @@ import numpy as np
 from lscan.board.kernels import (
     brightest,
     crosses,
-    means_beside,
+    means_of_known,
     next_away,
-    pitch_beside,
-    places_expected,
     round_peaks,
 )
 from lscan.board.picture import (
@@ -39,6 +37,12 @@ FAINTEST = 0.5  # of the height of the dots beside it
 NOISE_LIMIT = 6.0  # sigmas above the ground
 ELSEWHERE = 0.1  # of the box: a mark expected less far away would have been seen before
 SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
+NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
+BESIDE = np.array([step * 3 for step in NEXT])  # as kernels.means_of_known takes them
+STEPS_ON = np.array(
+    [(r, c, r, c, 2 * r, 2 * c) for r, c in NEXT]
+    + [(r, 0, 0, c, r, c) for r in (1, -1) for c in (1, -1)]
+)
 
 Seek = Callable[[Floats, Floats, Floats], tuple[Centres, Mask]]
 """From where N marks are expected (N, 2), px, the pitch there (N,), px, and the mean height and
@@ -244,7 +248,7 @@ def expected_places(points: Floats) -> Floats:
     ----------
     points : (R, C, 2) array, px, (u, v) of the nodes known; NaN where none
     """
-    return places_expected(np.ascontiguousarray(points))
+    return means_of_known(np.ascontiguousarray(points), STEPS_ON)
 
 
 def mean_beside(values: Floats) -> Floats:
@@ -255,7 +259,7 @@ def mean_beside(values: Floats) -> Floats:
     values : (R, C, ...) array, NaN where nothing is known
     """
     several = np.ascontiguousarray(values).reshape(*values.shape[:2], -1)
-    return means_beside(several).reshape(values.shape)
+    return means_of_known(several, BESIDE).reshape(values.shape)
 
 
 def local_pitch(points: Floats) -> Floats:
@@ -265,7 +269,15 @@ def local_pitch(points: Floats) -> Floats:
     ----------
     points : (R, C, 2) array, px, (u, v) of the nodes
     """
-    return pitch_beside(np.ascontiguousarray(points))
+    ways = []
+    for axis, back in ((1, (0, -1)), (0, (-1, 0))):
+        steps = np.full((*points.shape[:2], 1), np.nan)
+        there = np.s_[:, :-1] if axis == 1 else np.s_[:-1]
+        steps[there] = np.linalg.norm(np.diff(points, axis=axis), axis=2, keepdims=True)
+        ways.append(means_of_known(steps, np.array([(0, 0) * 3, back * 3]))[..., 0])
+    across, down = ways
+    both = np.where(np.isnan(down), across, (across + down) / 2)
+    return np.where(np.isnan(across), down, both)
 
 
 def shift_by(array: Floats, rows: int, columns: int) -> Floats:
