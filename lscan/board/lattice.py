@@ -49,7 +49,8 @@ class Expansion:
     @property
     def scale(self) -> Floats:
         """(M,) px per mm, geometric mean over the directions."""
-        return np.sqrt(np.abs(np.linalg.det(self.jacobian)))
+        (xx, xz), (zx, zz) = np.moveaxis(self.jacobian, 0, 2)
+        return np.sqrt(np.abs(xx * zz - xz * zx))
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,8 @@ class LocalMap:
             self.pitch_mm,
         )
         # On a narrow board the nearest points may leave a coefficient free; it is then 0.
-        free = ~(size > FREE)
-        solved[free] = np.linalg.pinv(left[free], rcond=1e-9, hermitian=True) @ right[free]
+        if (free := ~(size > FREE)).any():
+            solved[free] = np.linalg.pinv(left[free], rcond=1e-9, hermitian=True) @ right[free]
         solved, leverage = solved[..., :2], solved[:, 0, 2]
         xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
         bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
@@ -489,10 +490,12 @@ def lost_marks(reading: BoardReading, board: Board) -> str:
             for ring in board.ring
         ],
     }
-    nearest = cKDTree(reading.grid.board_mm)
-    lost, total = [], 0
+    nearest, lost, total = cKDTree(reading.grid.board_mm), [], 0
     for kind, marks in others.items():
-        seen = [found for place, found in marks if reading.grid.found[nearest.query(place)[1]]]
+        beside = nearest.query(np.reshape([place for place, _ in marks], (-1, 2)))[1]
+        seen = [
+            found for (_, found), of in zip(marks, beside, strict=True) if reading.grid.found[of]
+        ]
         missing = seen.count(False)
         if missing > FEWEST_PART * len(seen):
             lost.append(f"{missing} of {len(seen)} {kind}")

@@ -366,7 +366,7 @@ def _plate_levels(
     )
     values, level = (above - 2 * middle + under).astype(float), smooth.ravel()[some].astype(float)
     count = int(np.clip(len(level) // FEWEST_PIXELS, 1, LEVELS))
-    order = np.argsort(level, kind="stable")
+    order = np.argsort(level)
     parts = np.array_split(order, count)
     return (
         np.array([np.median(level[part]) for part in parts]),
@@ -424,12 +424,14 @@ def _dot_level(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
 
 def _cut_variance(values: Floats) -> float:
     """Variance of the normal noise in ``values``, what lies beyond 2.5 sigmas left out."""
-    variance = (float(np.median(np.abs(values))) / 0.6745) ** 2
+    squares = np.sort(values**2)
+    total, middle = np.cumsum(squares), squares[[(len(values) - 1) // 2, len(values) // 2]]
+    variance = (float(np.sqrt(middle).mean()) / 0.6745) ** 2
     for _ in range(10):
-        kept = values[values**2 <= CUT**2 * variance]
-        if len(kept) == 0 or variance == 0:
+        kept = int(np.searchsorted(squares, CUT**2 * variance, side="right"))
+        if kept == 0 or variance == 0:
             break
-        variance = float(np.mean(kept**2)) / KEPT
+        variance = float(total[kept - 1]) / kept / KEPT
     return variance
 
 
