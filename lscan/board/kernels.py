@@ -32,7 +32,7 @@ RIDGE = 5.0  # ratio of the curvatures beyond which a mark is a ridge
 TERMS = 6  # of a second-order polynomial: 1, x, y, x², xy, y²
 _OF_X, _OF_Y = (0, 1, 0, 2, 1, 0), (0, 0, 1, 0, 1, 2)
 _POWERS = 5  # of the distance, whose products make the normal equations
-_AT_REST = 1e-10  # px: a step as small changes nothing more
+_AT_REST = 1e-7  # px: the next step is a hundredth of it
 
 
 @compiled_sums
@@ -126,12 +126,13 @@ def fit_marks(
 def _window(picture: NDArray[np.floating[Any]], left: int, top: int, window: Floats) -> None:
     """Fill a window with the picture from a pixel on, with 0 beyond the picture's edge."""
     rows, columns = picture.shape
-    first, last = max(left, 0), min(left + window.shape[1], columns)
+    first = min(max(left, 0), columns)
+    last = max(min(left + window.shape[1], columns), first)
     window[:] = 0.0
     for j in range(max(-top, 0), min(len(window), rows - top)):
-        row, own = picture[top + j], window[j]
-        for column in range(first, last):
-            own[column - left] = row[column]
+        row, own = picture[top + j, first:last], window[j, first - left :]
+        for i in range(len(row)):  # from 0 on: no index is below it
+            own[i] = row[i]
 
 
 @compiled
