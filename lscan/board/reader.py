@@ -28,6 +28,7 @@ from lscan.board.lattice import (
 )
 from lscan.board.marks import Contrast, mark_status, read_ring, read_round_marks
 from lscan.board.picture import (
+    IMMERKAER,
     STEPS_FROM_NEAR,
     BoardPicture,
     Image,
@@ -358,13 +359,9 @@ def _plate_levels(
     The norm of Immerkær's mask (picture.noise_of) is 6.
     """
     plate = np.flatnonzero(_clear_of(nodes, radius_px, bright.shape))
-    some, grey = plate[:: max(1, len(plate) // MOST_PIXELS)], bright.ravel()
-    below = bright.shape[1]
-    above, middle, under = (
-        grey[some + row - 1] - 2 * grey[some + row] + grey[some + row + 1]
-        for row in (-below, 0, below)
-    )
-    values, level = (above - 2 * middle + under).astype(float), smooth.ravel()[some].astype(float)
+    some = plate[:: max(1, len(plate) // MOST_PIXELS)]
+    response = cv2.filter2D(bright, cv2.CV_32F, IMMERKAER)
+    values, level = (of.ravel()[some].astype(float) for of in (response, smooth))
     count = int(np.clip(len(level) // FEWEST_PIXELS, 1, LEVELS))
     order = np.argsort(level)
     parts = np.array_split(order, count)

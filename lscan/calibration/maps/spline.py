@@ -422,7 +422,7 @@ def _strongest(fit: Smooth, rows: Floats) -> Floats:
     """
     effect = rows @ fit.root
     effect /= np.linalg.norm(effect, axis=1, keepdims=True)
-    _, strength, directions = np.linalg.svd(effect, full_matrices=False)
-    share = np.cumsum(strength**2) / np.sum(strength**2)
+    variance, directions = np.linalg.eigh(effect.T @ effect)
+    share = np.cumsum(variance[::-1]) / np.sum(variance)
     enough = int(np.searchsorted(share, KEPT)) + 1
-    return fit.root @ directions[:enough].T / np.sqrt(share[enough - 1])
+    return fit.root @ directions[:, : -enough - 1 : -1] / np.sqrt(share[enough - 1])
