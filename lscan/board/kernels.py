@@ -1,13 +1,16 @@
 """Loops over marks that are compiled: arrays in and arrays out, without records."""
 
 from math import atan2, cos, exp, hypot, nan, pi, sin, sqrt
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Floats, Ints, Mask
 from lscan.stripe.kernels import compiled, compiled_sums, factorise, solve_factorised
+
+Grey: TypeAlias = NDArray[np.floating[Any]]
+Single: TypeAlias = NDArray[np.float32]
 
 
 def compile_marks() -> None:
@@ -20,6 +23,7 @@ def compile_marks() -> None:
     means_of_known(some, np.zeros((1, 6), np.int64))
     next_away(one, one)
     round_peaks(single, single, 0.0, 4.0)
+    noise_by_level(single, np.ones(1), np.ones(1), 1.0)
     crosses(one, 1.0, 2.0, 4, 0.5)
     local_polynomials(one, one, np.zeros((1, 1), np.int64), one, 1.0)
     disc_shifts(np.ones((1, 2, 2)), np.ones((1, 2, 2, 2)), np.ones(1), np.ones(1))
@@ -37,13 +41,7 @@ _AT_REST = 1e-7  # px: the next step is a hundredth of it
 
 @compiled_sums
 def fit_marks(
-    flat: NDArray[np.floating[Any]],
-    noise: NDArray[np.floating[Any]],
-    start: Floats,
-    sigma: Floats,
-    reach: Ints,
-    steps: int,
-    saddles: bool,
+    flat: Grey, noise: Grey, start: Floats, sigma: Floats, reach: Ints, steps: int, saddles: bool
 ) -> tuple[Floats, Floats, Floats, Mask]:
     """The fields of ``picture.Centres``, of N marks in windows about the starts.
 
@@ -123,7 +121,7 @@ def fit_marks(
 
 
 @compiled
-def _window(picture: NDArray[np.floating[Any]], left: int, top: int, window: Floats) -> None:
+def _window(picture: Grey, left: int, top: int, window: Floats) -> None:
     """Fill a window with the picture from a pixel on, with 0 beyond the picture's edge."""
     rows, columns = picture.shape
     first = min(max(left, 0), columns)
@@ -136,7 +134,7 @@ def _window(picture: NDArray[np.floating[Any]], left: int, top: int, window: Flo
 
 
 @compiled
-def brightest(smooth: NDArray[np.float32], middle: Ints, half: Ints) -> Ints:
+def brightest(smooth: Single, middle: Ints, half: Ints) -> Ints:
     """(N, 2) px of the brightest pixel in each box, the uppermost and leftmost where several are.
 
     Parameters
@@ -247,9 +245,7 @@ def next_away(points: Floats, others: Floats) -> Floats:
 
 
 @compiled
-def round_peaks(
-    smooth: NDArray[np.float32], bent: NDArray[np.float32], floor: float, longest: float
-) -> Ints:
+def round_peaks(smooth: Single, bent: Single, floor: float, longest: float) -> Ints:
     """(N, 2) rows and columns of pixels about which a picture falls off in all directions alike.
 
     Parameters
@@ -295,19 +291,18 @@ def crosses(points: Floats, low: float, high: float, most: int, lean: float) -> 
     """
     found, count = np.full((len(points), 8), nan), len(points)
     order = np.argsort(points[:, 1], kind="mergesort")
-    first = 0
+    first, ranked = 0, points[order]
     squares, near = np.empty(most), np.empty((most, 2))
-    for k in order:
-        here = points[k]
-        while points[order[first], 1] < here[1] - high:
+    for rank, k in enumerate(order):
+        while ranked[first, 1] < ranked[rank, 1] - high:
             first += 1
         held = 0  # sorted by distance
         for n in range(first, count):
-            u, v = points[order[n], 0] - here[0], points[order[n], 1] - here[1]
+            u, v = ranked[n, 0] - ranked[rank, 0], ranked[n, 1] - ranked[rank, 1]
             if v >= high:
                 break
             square = u * u + v * v
-            if square >= high * high or order[n] == k or (held == most and square >= squares[-1]):
+            if square >= high * high or n == rank or (held == most and square >= squares[-1]):
                 continue
             held = min(held + 1, most)
             place = held - 1
@@ -337,7 +332,30 @@ def crosses(points: Floats, low: float, high: float, most: int, lean: float) -> 
     return found
 
 
-# The local map about places of the board (lattice.py).
+# The noise of pixels (reader.py) and the local map about places of the board (lattice.py).
+
+
+@compiled
+def noise_by_level(grey: Single, levels: Floats, variances: Floats, least: float) -> Single:
+    """(H, W) roots of variances that are linear in the grey value from level to level.
+
+    Parameters
+    ----------
+    grey : (H, W) array
+    levels, variances : (L,) array, levels rising; beyond the outermost, variances stay
+    least : float, of the variance
+    """
+    noise = np.empty_like(grey)
+    for place, value in np.ndenumerate(grey):
+        n = 0
+        while n < len(levels) and levels[n] < value:
+            n += 1
+        variance = variances[min(n, len(levels) - 1)]
+        if 0 < n < len(levels):
+            share = (levels[n] - value) / (levels[n] - levels[n - 1])
+            variance -= share * (variance - variances[n - 1])
+        noise[place] = sqrt(max(variance, least))
+    return noise
 
 
 @compiled_sums

@@ -301,12 +301,11 @@ def _ridges(profile: Floats, noise: Floats, offsets: Floats, sigma: float) -> Ri
     for _ in range(STEPS):
         distance = offsets - centre[:, None]
         weight = np.exp(-((distance / sigma) ** 2) / 2)
-        weighted = [weight]  # by powers of the distance
-        for _ in range(4):
-            weighted.append(weighted[-1] * distance)
-        moment = np.array([values.sum(axis=1) for values in weighted])
-        right = np.array([(values * profile).sum(axis=1) for values in weighted[:3]])
-        left = moment[np.add.outer(np.arange(3), np.arange(3))]
+        powers = np.stack([weight] * 5)  # times powers of the distance
+        for power in range(1, 5):
+            np.multiply(powers[power - 1], distance, out=powers[power])
+        right = (powers[:3] * profile).sum(axis=2)
+        left = powers.sum(axis=2)[np.add.outer(np.arange(3), np.arange(3))]
         height, slope, bend = np.linalg.solve(left.transpose(2, 0, 1), right.T[..., None])[..., 0].T
         peaked = bend < 0
         step = np.where(peaked, -slope / np.where(peaked, 2 * bend, -1.0), 0.0)

@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from lscan.board.kernels import noise_by_level
 from lscan.board.lattice import (
     LocalMap,
     complete_nodes,
@@ -346,8 +347,7 @@ def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
         levels, variances = np.append(levels, dot[0]), np.append(variances, dot[1])
     order = np.argsort(levels)
     some = shrink(smooth, working_reduction(bright, radius_px))
-    variance = np.interp(some, levels[order], variances[order])
-    noise = np.sqrt(np.maximum(variance, rounding_of(bright) ** 2)).astype(np.float32)
+    noise = noise_by_level(some, levels[order], variances[order], rounding_of(bright) ** 2)
     return enlarge(noise, bright.shape)
 
 
@@ -364,11 +364,9 @@ def _plate_levels(
     values, level = (of.ravel()[some].astype(float) for of in (response, smooth))
     count = int(np.clip(len(level) // FEWEST_PIXELS, 1, LEVELS))
     order = np.argsort(level)
-    parts = np.array_split(order, count)
-    return (
-        np.array([np.median(level[part]) for part in parts]),
-        np.array([_cut_variance(values[part]) / 36 for part in parts]),
-    )
+    levels, parts = (np.array_split(of[order], count) for of in (level, values))
+    middles = [_middle(part) for part in levels]
+    return np.array(middles), np.array([_cut_variance(part) / 36 for part in parts])
 
 
 def _clear_of(nodes: Nodes, radius_px: float, shape: tuple[int, ...]) -> Mask:
@@ -421,15 +419,20 @@ def _dot_level(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
 
 def _cut_variance(values: Floats) -> float:
     """Variance of the normal noise in ``values``, what lies beyond 2.5 sigmas left out."""
-    squares = np.sort(values**2)
-    total, middle = np.cumsum(squares), squares[[(len(values) - 1) // 2, len(values) // 2]]
-    variance = (float(np.sqrt(middle).mean()) / 0.6745) ** 2
+    sizes = np.sort(np.abs(values))
+    squares = sizes**2
+    total, variance = np.cumsum(squares), (_middle(sizes) / 0.6745) ** 2
     for _ in range(10):
         kept = int(np.searchsorted(squares, CUT**2 * variance, side="right"))
         if kept == 0 or variance == 0:
             break
         variance = float(total[kept - 1]) / kept / KEPT
     return variance
+
+
+def _middle(values: Floats) -> float:
+    """The median of values that rise."""
+    return float(values[(len(values) - 1) // 2] + values[len(values) // 2]) / 2
 
 
 def grain(picture: BoardPicture, points: Floats, radius_px: float) -> Floats:
