@@ -80,21 +80,20 @@ def fit_marks(
                     left[i, j] = moment[0, in_x] * moment[1, in_y]
             factorise(left)
             solve_factorised(left, right)
-            uu, uv, vv = 2 * right[3] / wide**2, right[4] / wide**2, 2 * right[5] / wide**2
+            uu, uv, vv = 2 * right[3], right[4], 2 * right[5]  # times the weights' variance
             trace, determinant = uu + vv, uu * vv - uv * uv
             wanted = -determinant > trace**2 * least
             if not saddles:
                 wanted = trace < 0 and determinant > trace**2 * least
             if turn == steps or not wanted or (turn > 0 and length < _AT_REST):
                 break
-            by_u, by_v = right[1] / wide, right[2] / wide
-            step_u = (uv * by_v - vv * by_u) / determinant
-            step_v = (uv * by_u - uu * by_v) / determinant
-            length = hypot(step_u, step_v)
-            part = min(1.0, wide / max(length, 1e-12))
-            length *= part
-            away[0] = min(max(away[0] + part * step_u, -reach[k]), reach[k])
-            away[1] = min(max(away[1] + part * step_v, -reach[k]), reach[k])
+            step_u = wide * (uv * right[2] - vv * right[1]) / determinant
+            step_v = wide * (uv * right[1] - uu * right[2]) / determinant
+            whole = hypot(step_u, step_v)
+            length = min(whole, wide)
+            away[0] += step_u * (length / max(whole, 1e-12))
+            away[1] += step_v * (length / max(whole, 1e-12))
+            away[:] = np.minimum(np.maximum(away, -reach[k]), reach[k])
         points[k, 0], points[k, 1], height[k] = u + away[0], v + away[1], right[0]
         if not wanted:
             continue
@@ -102,21 +101,14 @@ def fit_marks(
         # The gradient is the sum of w d f over that of w d², w the weights, d the distances and
         # f the grey values; the inverse Hessian turns its covariance into that of the maximum.
         _window(noise, u - reach[k], v - reach[k], grey)
-        for j in range(width):
-            for i in range(width):
-                grey[j, i] *= grey[j, i]
         for axis in range(2):
-            for i in range(width):
-                squared = power[axis, 0, i] ** 2
-                distance = i - reach[k] - away[axis]
-                power[axis, 0, i], power[axis, 1, i] = squared, squared * distance
-                power[axis, 2, i] = squared * distance**2
-        _sums(grey, power, right)
-        by_u, by_v, both = right[3], right[5], right[4]
-        along_u = vv * (vv * by_u - uv * both) - uv * (vv * both - uv * by_v)
-        along_v = uu * (uu * by_v - uv * both) - uv * (uu * both - uv * by_u)
-        total = determinant * moment[0, 0] * moment[1, 0] * wide**2
-        scatter[k] = sqrt(max((along_u + along_v) / 2, 0.0)) / abs(total)
+            power[axis, 0] *= power[axis, 0]
+            for n in range(2):
+                power[axis, n + 1] = power[axis, n] * (np.arange(width) - reach[k] - away[axis])
+        _sums(grey * grey, power, right)
+        spread = (vv * vv + uv * uv) * right[3] + (uu * uu + uv * uv) * right[5]
+        spread = max(spread - 2 * uv * trace * right[4], 0.0) / 2
+        scatter[k] = sqrt(spread) / abs(determinant * moment[0, 0] * moment[1, 0])
     return points, height, scatter, good
 
 
@@ -181,12 +173,8 @@ def _sums(grey: Floats, power: Floats, right: Floats) -> None:
             one += weight[i] * row[i]
             x += by_x[i] * row[i]
             square += by_square[i] * row[i]
-        right[0] += power[1, 0, j] * one
-        right[1] += power[1, 0, j] * x
-        right[2] += power[1, 1, j] * one
-        right[3] += power[1, 0, j] * square
-        right[4] += power[1, 1, j] * x
-        right[5] += power[1, 2, j] * one
+        for n in range(TERMS):
+            right[n] += power[1, _OF_Y[n], j] * (one, x, square)[_OF_X[n]]
 
 
 # The walk from mark to mark (search.py).
@@ -246,7 +234,7 @@ def next_away(points: Floats, others: Floats) -> Floats:
 
 @compiled
 def round_peaks(smooth: Single, bent: Single, floor: float, longest: float) -> Ints:
-    """(N, 2) rows and columns of pixels about which a picture falls off in all directions alike.
+    """(N,) places of pixels about which a picture falls off in all directions alike.
 
     Parameters
     ----------
@@ -271,11 +259,8 @@ def round_peaks(smooth: Single, bent: Single, floor: float, longest: float) -> I
             uv = smooth[r + 1, c + 1] + smooth[r - 1, c - 1] + 0.0
             uv = (uv - smooth[r + 1, c - 1] - smooth[r - 1, c + 1]) / 4
             if uu + vv < 0 and uu * vv - uv * uv > (uu + vv) ** 2 * least:
-                found.append((r, c))
-    peaks = np.empty((len(found), 2), np.int64)
-    for k in range(len(found)):
-        peaks[k, 0], peaks[k, 1] = found[k]
-    return peaks
+                found.append(r * columns + c)
+    return np.array(found, np.int64)
 
 
 @compiled

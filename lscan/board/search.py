@@ -309,21 +309,7 @@ WEAKEST = 0.45  # of the ninth strongest: admits dots in light 2:1 darker
 MOST = 30_000  # blobs of one size; more is texture
 
 
-@dataclass(frozen=True)
-class Blobs:
-    """N round marks.
-
-    Attributes
-    ----------
-    points : (N, 2) array, px, (u, v) to about half a pixel
-    strength : (N,) array, grey values
-    """
-
-    points: Floats
-    strength: Floats
-
-
-def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
+def find_blobs(bright: Image, radius_px: float, noise: float) -> tuple[Floats, Floats]:
     """The bright round marks of about one radius, strongest first.
 
     They are the maxima of the negative Laplacian of Gaussian with sigma = radius / sqrt(2),
@@ -334,6 +320,11 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
     bright : (H, W) array, grey values, marks bright
     radius_px : float, px, of the marks
     noise : float, standard deviation of a grey value
+
+    Returns
+    -------
+    tuple of array
+        (N, 2) px, their (u, v) to about half a pixel, and (N,) grey values, their strength.
 
     References
     ----------
@@ -347,13 +338,13 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
     # White noise n answers with n / (sqrt(2 pi) sigma); averaging has divided it already.
     floor = NOISE_LIMIT * noise / reduction / (np.sqrt(2 * np.pi) * sigma)
     peaks = round_peaks(smooth, response, floor / sigma**2, LONGEST)
-    strength = sigma**2 * response[peaks[:, 0], peaks[:, 1]].astype(float)
+    strength = sigma**2 * response.ravel()[peaks].astype(float)
     if len(peaks) >= FEWEST:
         peaks = peaks[(clear := strength >= WEAKEST * np.partition(strength, -FEWEST)[-FEWEST])]
         strength = strength[clear]
     order = np.argsort(-strength, kind="stable")[:MOST]
-    points = (peaks[order, ::-1] + 0.5) * reduction - 0.5
-    return Blobs(points, strength[order])
+    row, column = np.divmod(peaks[order], small.shape[1])
+    return (np.column_stack([column, row]) + 0.5) * reduction - 0.5, strength[order]
 
 
 # The three first dots: a dot, the one beneath and the one to its right (Fig. 12, #1 to #3).
@@ -409,7 +400,7 @@ def propose_seeds(bright: Image, board: Board, noise: float) -> list[Floats]:
     best, best_weight = None, 0.0
     for radius in SMALLEST_RADIUS_PX * SIZE_STEP ** np.arange(count):
         blobs = find_blobs(bright, float(radius), noise)
-        several = find_crosses(blobs.points, blobs.strength, float(2 * radius * ratio))
+        several = find_crosses(*blobs, float(2 * radius * ratio))
         weight = float(several.strength.sum())
         if weight > best_weight:
             best, best_weight = several, weight
