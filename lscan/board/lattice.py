@@ -493,9 +493,8 @@ def lost_marks(reading: BoardReading, board: Board) -> str:
     nearest, lost, total = cKDTree(reading.grid.board_mm), [], 0
     for kind, marks in others.items():
         beside = nearest.query(np.reshape([place for place, _ in marks], (-1, 2)))[1]
-        seen = [
-            found for (_, found), of in zip(marks, beside, strict=True) if reading.grid.found[of]
-        ]
+        counts = reading.grid.found[beside]
+        seen = [found for (_, found), known in zip(marks, counts, strict=True) if known]
         missing = seen.count(False)
         if missing > FEWEST_PART * len(seen):
             lost.append(f"{missing} of {len(seen)} {kind}")

@@ -334,7 +334,8 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> tuple[Floats, F
     small = shrink(bright, reduction)
     sigma = radius_px / reduction / np.sqrt(2)
     smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), sigma), dtype=np.float32)
-    response = -cv2.Laplacian(smooth, cv2.CV_32F, ksize=1)
+    laplacian = cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, scale=-1)
+    response = np.asarray(laplacian, dtype=np.float32)
     # White noise n answers with n / (sqrt(2 pi) sigma); averaging has divided it already.
     floor = NOISE_LIMIT * noise / reduction / (np.sqrt(2 * np.pi) * sigma)
     peaks = round_peaks(smooth, response, floor / sigma**2, LONGEST)
