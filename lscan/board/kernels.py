@@ -21,7 +21,6 @@ def compile_marks() -> None:
     single, some = np.zeros((3, 3), np.float32), np.zeros((1, 1, 2))
     brightest(single, np.ones((1, 2), np.int64), number)
     means_of_known(some, np.zeros((1, 6), np.int64))
-    next_away(one, one)
     round_peaks(single, single, 0.0, 4.0)
     noise_by_level(single, np.ones(1), np.ones(1), 1.0)
     crosses(one, 1.0, 2.0, 4, 0.5)
@@ -207,26 +206,6 @@ def means_of_known(values: Floats, guesses: Ints) -> Floats:
                 if count > 0:
                     mean[r, c, k] = total / count
     return mean
-
-
-@compiled
-def next_away(points: Floats, others: Floats) -> Floats:
-    """(N,) distance from each point to the nearest of the other points and of others.
-
-    Parameters
-    ----------
-    points, others : (N, 2) and (M, 2) array, px
-    """
-    found = np.empty(len(points))
-    for k in range(len(points)):
-        least = np.inf
-        for several, own in ((points, k), (others, -1)):
-            for n in range(len(several)):
-                u, v = several[n, 0] - points[k, 0], several[n, 1] - points[k, 1]
-                if n != own:
-                    least = min(least, u * u + v * v)
-        found[k] = sqrt(least)
-    return found
 
 
 # Round marks of one size, and crosses of them (search.py).

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from lscan.board.kernels import (
     brightest,
     crosses,
     means_of_known,
-    next_away,
     round_peaks,
 )
 from lscan.board.picture import (
@@ -204,8 +204,10 @@ def spread(
         beside = mean_beside(part.values[..., 2:])[todo]
         seen, accepted = seek(expected[todo], pitch[todo], beside)
         # A row that has strayed finds the dots of another once more: each belongs to one node.
-        apart = next_away(seen.points[accepted], part.points[part.found])
-        accepted[accepted] = apart > box * pitch[todo][accepted]
+        found = seen.points[accepted]
+        apart = cdist(found, np.vstack([found, part.points[part.found]]))
+        np.fill_diagonal(apart, np.inf)
+        accepted[accepted] = apart.min(axis=1) > box * pitch[todo][accepted]
         part.put(np.nonzero(todo), seen, accepted)
         more = accepted.any()
 

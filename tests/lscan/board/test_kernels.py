@@ -18,7 +18,6 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
     "fit_marks": (GREY, abs(GREY), FEW + 0.4, WIDTHS, np.array([6, 9, 5, 7]), 4, False),
     "brightest": (GREY, FEW, np.array([2, 3, 1, 40])),
     "means_of_known": (NODES, STEPS),
-    "next_away": (POINTS[:9], POINTS[9:]),
     "round_peaks": (GREY, -GREY, 5.0, 4.0),
     "crosses": (POINTS, 1.5, 9.0, 7, 0.5),
     "noise_by_level": (GREY, np.array([-20.0, 0.0, 30.0]), np.array([4.0, 9.0, 2.0]), 3.0),
