@@ -1,9 +1,9 @@
 """The control points of the calibration board, found in one picture (Sec. III.1, Figs. 8 to 12).
 
-``read_board`` goes through these modules in order: ``picture`` (grey values, negative, noise),
-``blobs`` and ``seeds`` (the three first dots), ``search`` (the adaptive search from dot to
-dot), ``evidence`` (is this the board?), ``lattice`` (which dot is which, and the local map),
-``features`` and ``rings``.  Every centre is found by ``centre``.
+``read_board`` (reader) goes through these modules: ``picture`` (grey values, negative, ground, the
+centre of a mark), ``search`` (the three first dots, and the adaptive search from dot to dot),
+``lattice`` (which dot is which, the local map, is this the board?) and ``marks`` (rulers, named
+dots, rings).  What they do mark by mark is compiled in ``kernels``.
 """
 
 from lscan.board.drawing import draw_overlay

@@ -1,6 +1,7 @@
 """Which dot is which: the map from board to picture, outliers, evidence that it is the board."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import label, map_coordinates, maximum_filter
 from scipy.spatial import cKDTree
 
+from lscan.board.kernels import disc_shifts, local_polynomials
 from lscan.board.picture import BLUR_PX, BoardPicture
 from lscan.board.search import Nodes, expected_places, local_pitch, mean_beside
 from lscan.config.board import Board, Grid
@@ -47,7 +49,8 @@ class Expansion:
     @property
     def scale(self) -> Floats:
         """(M,) px per mm, geometric mean over the directions."""
-        return np.sqrt(np.abs(np.linalg.det(self.jacobian)))
+        (xx, xz), (zx, zz) = np.moveaxis(self.jacobian, 0, 2)
+        return np.sqrt(np.abs(xx * zz - xz * zx))
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,10 @@ class LocalMap:
     board_mm: Floats
     image_px: Floats
     pitch_mm: float
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.board_mm)
 
     def misfit(self, which: Mask | slice = ALL) -> Floats:
         """Distance in px between control points and where those around each predict it.
@@ -92,33 +99,23 @@ class LocalMap:
         skip : int, how many of the control points nearest to each place are left out
         """
         count = min(NEAREST + skip, len(self.board_mm))
-        nearest = cKDTree(self.board_mm).query(board_mm, k=count)[1]
-        index = np.asarray(nearest)[:, skip:]
-        x, z = np.moveaxis((self.board_mm[index] - board_mm[:, None]) / self.pitch_mm, -1, 0)
-        design = np.stack([np.ones_like(x), x, z, x * x, x * z, z * z], axis=-1)
-        across = design.transpose(0, 2, 1)
-        at_place = np.broadcast_to(np.eye(6, 1), (len(index), 6, 1))
-        right = np.concatenate([across @ self.image_px[index], at_place], axis=2)
-        solved = _solve(across @ design, right)  # (M, 6, 3)
+        nearest = np.asarray(self._tree.query(board_mm, k=count)[1])
+        left, right, solved, size = local_polynomials(
+            self.board_mm,
+            self.image_px,
+            np.ascontiguousarray(nearest[:, skip:]),
+            np.ascontiguousarray(board_mm),
+            self.pitch_mm,
+        )
+        # On a narrow board the nearest points may leave a coefficient free; it is then 0.
+        if (free := ~(size > FREE)).any():
+            solved[free] = np.linalg.pinv(left[free], rcond=1e-9, hermitian=True) @ right[free]
         solved, leverage = solved[..., :2], solved[:, 0, 2]
         xx, xz, zz = 2 * solved[:, 3], solved[:, 4], 2 * solved[:, 5]
         bend = np.stack([xx, xz, xz, zz], axis=-1).reshape(-1, 2, 2, 2)
         jacobian = solved[:, 1:3].transpose(0, 2, 1)
         bend = bend / self.pitch_mm**2
         return Expansion(solved[:, 0], jacobian / self.pitch_mm, bend, leverage)
-
-
-def _solve(left: Floats, right: Floats) -> Floats:
-    """Solutions (M, 6, K) of M normal equations, left (M, 6, 6), right (M, 6, K).
-
-    On a narrow board the nearest points may leave a coefficient free; it is then 0.
-    """
-    scale = np.einsum("mii->mi", left).prod(axis=1)
-    free = np.linalg.det(left) <= FREE * scale
-    regular = np.where(free[:, None, None], np.eye(6), left)
-    solved: Floats = np.linalg.solve(regular, right).astype(np.float64)
-    solved[free] = np.linalg.pinv(left[free], rcond=1e-9, hermitian=True) @ right[free]
-    return solved
 
 
 def dot_part(grid: Grid) -> float:
@@ -285,49 +282,18 @@ def _first(spare: int, first: bool, last: bool, what: str, whole: int, found: in
 # PAMI 22, 10, 2000, gives that of the ellipse's centre under perspective).
 
 
-RINGS, SPOKES = 3, 8  # quadrature over the disc: exact to the fifth order in its points
-STEPS = 2  # Newton's; the shift is small beside the window, so the first is good to a percent
-
-
-def shift_of_discs(map_there: Expansion, radius_mm: float, sigma_px: Floats) -> Floats:
+def shift_of_discs(map_there: Expansion, radius_mm: Floats | float, sigma_px: Floats) -> Floats:
     """(N, 2) px from the image of each disc's centre to the maximum of its smoothed image.
 
     Parameters
     ----------
     map_there : Expansion, px and mm, the local map about the N centres
-    radius_mm : float, mm, of the discs
+    radius_mm : (N,) array or float, mm, of the discs
     sigma_px : (N,) array, px, of the smoothing (``window_sigma``); the picture's own blur of 0.7 px
         adds to it
     """
-    jacobian, bend = map_there.jacobian, map_there.bend
-    spots, weight = _quadrature(radius_mm)
-    derivative = jacobian[:, None] + np.einsum("ncij,qj->nqci", bend, spots)
-    halfway = jacobian[:, None] + np.einsum("ncij,qj->nqci", bend, spots) / 2
-    image = np.einsum("nqci,qi->nqc", halfway, spots)
-    mass = weight * np.abs(np.linalg.det(derivative))
-    return _maximum(image, mass, sigma_px**2 + BLUR_PX**2)
-
-
-def _quadrature(radius: float) -> tuple[Floats, Floats]:
-    """Points (Q, 2) and weights (Q,) of a Gauss rule over a disc: Legendre in the area."""
-    node, share = np.polynomial.legendre.leggauss(RINGS)
-    reach = radius * np.sqrt((node + 1) / 2)
-    angle = 2 * np.pi * np.arange(SPOKES) / SPOKES
-    spokes = np.column_stack([np.cos(angle), np.sin(angle)])
-    return (reach[:, None, None] * spokes).reshape(-1, 2), np.repeat(share, SPOKES)
-
-
-def _maximum(image: Floats, mass: Floats, variance: Floats) -> Floats:
-    """(N, 2) maxima, by Newton's steps from 0, of masses (N, Q) at (N, Q, 2) smoothed."""
-    top = np.zeros((len(image), 2))
-    for _ in range(STEPS):
-        away = image - top[:, None]
-        weight = mass * np.exp(-(away**2).sum(axis=2) / (2 * variance[:, None]))
-        gradient = np.einsum("nq,nqc->nc", weight, away)
-        spread = np.einsum("nq,nqc,nqd->ncd", weight, away, away) / variance[:, None, None]
-        hessian = spread - weight.sum(axis=1)[:, None, None] * np.eye(2)
-        top = top - np.linalg.solve(hessian, gradient[..., None])[..., 0]
-    return top
+    radius, variance = np.full(len(sigma_px), radius_mm), sigma_px**2 + BLUR_PX**2
+    return disc_shifts(np.ascontiguousarray(map_there.jacobian), map_there.bend, radius, variance)
 
 
 # By how much dots scatter about a smooth lattice more than the noise of pixels explains.
@@ -524,10 +490,11 @@ def lost_marks(reading: BoardReading, board: Board) -> str:
             for ring in board.ring
         ],
     }
-    nearest = cKDTree(reading.grid.board_mm)
-    lost, total = [], 0
+    nearest, lost, total = cKDTree(reading.grid.board_mm), [], 0
     for kind, marks in others.items():
-        seen = [found for place, found in marks if reading.grid.found[nearest.query(place)[1]]]
+        beside = nearest.query(np.reshape([place for place, _ in marks], (-1, 2)))[1]
+        counts = reading.grid.found[beside]
+        seen = [found for (_, found), known in zip(marks, counts, strict=True) if known]
         missing = seen.count(False)
         if missing > FEWEST_PART * len(seen):
             lost.append(f"{missing} of {len(seen)} {kind}")

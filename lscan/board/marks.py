@@ -1,6 +1,7 @@
 """Ruler marks, named dots and milled circles: predicted from the grid, then found."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
@@ -9,8 +10,8 @@ from scipy.spatial import cKDTree
 from lscan.board.lattice import LocalMap, grid_points_mm, shift_of_discs
 from lscan.board.picture import BLUR_PX, BoardPicture, disc_height, stand_alone, window_sigma
 from lscan.board.search import Nodes, look
-from lscan.config.board import Dot, Ring, Ruler
-from lscan.records import Floats, Ints, Mark, Marks, Mask, RingPoints, RulerReading, Status
+from lscan.config.board import Board, Ring
+from lscan.records import Floats, Ints, Mark, Marks, Mask, RingPoints, RulerReading, Status, select
 
 # Ruler marks and named dots: predicted from the grid, then found like the control points.
 
@@ -53,8 +54,11 @@ class Contrast:
         ----------
         board_mm : (M, 2) array, mm, of (x, z)
         """
-        _, index = cKDTree(self.board_mm).query(board_mm)
-        return self.contrast[index]
+        return self.contrast[self._tree.query(board_mm)[1]]
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.board_mm)
 
 
 def mark_status(found: Mask, in_view: Mask) -> Ints:
@@ -69,38 +73,41 @@ def mark_status(found: Mask, in_view: Mask) -> Ints:
     return np.where(found, int(Status.OK), missing).astype(np.int64)
 
 
-def read_ruler(
-    picture: BoardPicture, mapping: LocalMap, contrast: Contrast, ruler: Ruler
-) -> RulerReading:
-    """The marks of one auxiliary ruler (Fig. 14), in the order of the board file.
+def read_round_marks(
+    picture: BoardPicture, mapping: LocalMap, contrast: Contrast, board: Board
+) -> tuple[tuple[RulerReading, ...], dict[str, Mark]]:
+    """The marks of the auxiliary rulers (Fig. 14) and the named dots (Fig. 18), by name.
+
+    Both in the order of the board file.
 
     Parameters
     ----------
     picture : BoardPicture, levelled
     mapping : LocalMap, through the control points
     contrast : Contrast, grey values, of the control points
-    ruler : Ruler, mm
+    board : Board, mm
     """
-    marks = _read_marks(
-        picture, mapping, contrast, ruler.points_mm(), ruler.mark_diameter_mm, ruler.step_mm
+    rulers = [(ruler.points_mm(), ruler.mark_diameter_mm, ruler.step_mm) for ruler in board.ruler]
+    dots = [  # nothing else should be nearer than three diameters
+        (np.array([[dot.x_mm, dot.z_mm]]), dot.diameter_mm, 3 * dot.diameter_mm)
+        for dot in board.dot
+    ]
+    if not rulers + dots:
+        return (), {}
+    places, diameters, clear = zip(*rulers, *dots, strict=True)
+    kind = np.repeat(np.arange(len(places)), [len(of_kind) for of_kind in places])
+    found = _read_marks(
+        picture, mapping, contrast, np.vstack(places), np.array(diameters), np.array(clear), kind
     )
-    return RulerReading(ruler.direction, ruler.at_mm, marks)
-
-
-def read_dot(picture: BoardPicture, mapping: LocalMap, contrast: Contrast, dot: Dot) -> Mark:
-    """A named dot (Fig. 18).
-
-    Parameters
-    ----------
-    picture : BoardPicture, levelled
-    mapping : LocalMap, through the control points
-    contrast : Contrast, grey values, of the control points
-    dot : Dot, mm
-    """
-    place = np.array([[dot.x_mm, dot.z_mm]])
-    clear = 3 * dot.diameter_mm  # nothing else should be nearer than that
-    marks = _read_marks(picture, mapping, contrast, place, dot.diameter_mm, clear)
-    return Mark(marks.image_px[0], float(marks.sigma_px[0]), Status(int(marks.status[0])))
+    every = [select(found, kind == number) for number in range(len(places))]
+    readings = tuple(
+        RulerReading(ruler.direction, ruler.at_mm, marks)
+        for ruler, marks in zip(board.ruler, every, strict=False)
+    )
+    return readings, {
+        dot.name: Mark(marks.image_px[0], float(marks.sigma_px[0]), Status(int(marks.status[0])))
+        for dot, marks in zip(board.dot, every[len(rulers) :], strict=True)
+    }
 
 
 def _read_marks(
@@ -108,23 +115,27 @@ def _read_marks(
     mapping: LocalMap,
     contrast: Contrast,
     board_mm: Floats,
-    diameter_mm: float,
-    clear_mm: float,
+    diameter_mm: Floats,
+    clear_mm: Floats,
+    kind: Ints,
 ) -> Marks:
-    """Round marks of one size at known places (N, 2) mm, ``clear_mm`` apart from others."""
+    """Round marks at known places (N, 2) mm, of K kinds (N,).
+
+    Of each kind: diameter_mm (K,), and the distance clear_mm (K,) that they are from others.
+    """
     map_there = mapping.expansion(board_mm)
-    expected, scale = map_there.image_px, map_there.scale
-    radius = scale * diameter_mm / 2
+    expected, scale, radius_mm = map_there.image_px, map_there.scale, diameter_mm[kind] / 2
+    radius = scale * radius_mm
     in_view = picture.wholly_in_view(expected, radius)
-    box = np.clip(BOX * clear_mm * scale, 1.0, WIDEST_BOX_PX)
+    box = np.clip(BOX * clear_mm[kind] * scale, 1.0, WIDEST_BOX_PX)
     sigma = window_sigma(radius)
-    shift = shift_of_discs(map_there, diameter_mm / 2, sigma)
-    centres = look(picture, expected + shift, box, sigma)
+    shift = shift_of_discs(map_there, radius_mm, sigma)
+    centres = look(picture, expected + shift, box, sigma, kind)
     full = contrast.at(board_mm) * disc_height(radius, BLUR_PX)
     points = centres.points - shift
     miss = np.abs(points - expected).max(axis=1)
     found = in_view & centres.round & (centres.height > FAINTEST * full) & (miss <= box + 0.5)
-    found &= stand_alone(picture.flat, centres, sigma, picture.noise)
+    found &= stand_alone(picture.flat, centres, sigma, picture.noise, kind)
     return Marks(
         board_mm=board_mm,
         image_px=np.where(found[:, None], points, np.nan),
@@ -219,14 +230,13 @@ def read_ring(
     samples = int(min(REACH_PX, radius_px / 2) / SAMPLE_PX)  # to either side
     offsets = np.linspace(-samples * SAMPLE_PX, samples * SAMPLE_PX, 2 * samples + 1)
     profile, noise = _profiles(picture, crossings, offsets)
-    board, outward_mm = board[1::3], outward_mm[1::3]
-    crossings = _crossings(mapping, board, outward_mm, ring.diameter_mm / 2)
+    crossings = select(crossings, slice(1, None, len(BREADTH_PX)))
     sigma = float(window_sigma(np.array([ring.width_mm * np.median(crossings.scale) / 2]))[0])
     ridges = _ridges(profile, noise, offsets, sigma)
     width_px = ring.width_mm * crossings.scale
     # A smoothed line of contrast 1 is as high as its width times the top of the blurred Gaussian.
     top = np.sqrt(2 * np.pi * (sigma**2 + BLUR_PX**2))
-    full = contrast.at(board) * np.minimum(width_px / top, 1.0)
+    full = contrast.at(board[1 :: len(BREADTH_PX)]) * np.minimum(width_px / top, 1.0)
     seen = picture.wholly_in_view(crossings.middle, REACH_PX) & ridges.peaked
     seen &= ridges.height > np.maximum(
         FAINTEST * full, NOISE_LIMIT * noise.mean(axis=1) / np.sqrt(SPACING_PX)
@@ -291,10 +301,12 @@ def _ridges(profile: Floats, noise: Floats, offsets: Floats, sigma: float) -> Ri
     for _ in range(STEPS):
         distance = offsets - centre[:, None]
         weight = np.exp(-((distance / sigma) ** 2) / 2)
-        design = np.stack([np.ones_like(distance), distance, distance**2], axis=-1)
-        left = np.einsum("nm,nmi,nmj->nij", weight, design, design)
-        right = np.einsum("nm,nmi,nm->ni", weight, design, profile)
-        height, slope, bend = np.linalg.solve(left, right[..., None])[..., 0].T
+        powers = np.stack([weight] * 5)  # times powers of the distance
+        for power in range(1, 5):
+            np.multiply(powers[power - 1], distance, out=powers[power])
+        right = (powers[:3] * profile).sum(axis=2)
+        left = powers.sum(axis=2)[np.add.outer(np.arange(3), np.arange(3))]
+        height, slope, bend = np.linalg.solve(left.transpose(2, 0, 1), right.T[..., None])[..., 0].T
         peaked = bend < 0
         step = np.where(peaked, -slope / np.where(peaked, 2 * bend, -1.0), 0.0)
         centre = np.clip(centre + np.clip(step, -sigma, sigma), offsets[0], offsets[-1])

@@ -5,9 +5,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from lscan.board.kernels import fit_marks
 from lscan.config.rig import Channel
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask
@@ -28,13 +28,11 @@ from lscan.records import Floats, Ints, Mask
 
 SMALLEST_SIGMA_PX = 0.9  # a narrower Gaussian is not sampled well enough by whole pixels
 REACH = 4.0  # of sigma: the weights beyond are below 0.04 %
-RIDGE = 5.0  # ratio of the curvatures beyond which a mark is a ridge
 WIDER = 1.6
 MOST_MOVED = 0.1  # of the window's sigma: perspective and neighbours move a dot by half of that
 MOST_MOVED_SIGMAS = 6.0
 STEPS = 6  # Newton's steps
 STEPS_FROM_NEAR = 3  # from a start good to a tenth of a pixel
-AT_ONCE = 1_000_000  # grey values of the windows in memory: a processor's cache holds them
 
 
 @dataclass(frozen=True)
@@ -93,6 +91,7 @@ def fit_centres(
     noise: NDArray[np.floating],
     steps: int = STEPS,
     saddles: bool = False,
+    kind: Ints | None = None,
 ) -> Centres:
     """Maxima near ``start`` of second-order polynomials fitted to the picture, or saddles.
 
@@ -107,6 +106,8 @@ def fit_centres(
         that meet are the same seen from their corner but for the sign, so it is where the gradient
         vanishes under a Gaussian of any size and any blur.  ``round`` then says that it is a
         saddle, no more than five times as steep one way as the other.
+    kind : (N,) array, optional, number of each mark's kind: those of one are seen in windows as
+        large as their widest needs; all by default
 
     References
     ----------
@@ -114,48 +115,19 @@ def fit_centres(
     """
     if len(start) == 0:
         return Centres(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
-    reach = int(np.ceil(REACH * sigma.max())) + 1
-    pieces = -(-len(start) * (2 * reach + 1) ** 2 // AT_ONCE)
-    fits = [
-        _fit_windows(flat, some, widths, noise, reach, steps, saddles)
-        for some, widths in zip(
-            np.array_split(start, pieces), np.array_split(sigma, pieces), strict=True
-        )
-    ]
-    return Centres(*map(np.concatenate, zip(*(vars(fit).values() for fit in fits), strict=True)))
-
-
-def _fit_windows(
-    flat: NDArray[np.floating],
-    start: Floats,
-    sigma: Floats,
-    noise: NDArray[np.floating],
-    reach: int,
-    steps: int,
-    saddles: bool,
-) -> Centres:
-    """As ``fit_centres``, in windows that reach so far about the starts."""
-    base = np.rint(start).astype(np.int64)
-    values = _windows(flat, base, reach)
-    offset = np.zeros((len(base), 2))
-    for _ in range(steps):
-        gradient, hessian, _ = _polynomial(values, offset, sigma, reach)
-        inverse, _ = _inverse(hessian, saddles)
-        step = -np.einsum("nij,nj->ni", inverse, gradient)
-        length = np.linalg.norm(step, axis=1, keepdims=True)
-        step *= np.minimum(1, sigma[:, None] / np.maximum(length, 1e-12))
-        offset = np.clip(offset + step, -reach, reach)
-    _, hessian, height = _polynomial(values, offset, sigma, reach)
-    inverse, wanted = _inverse(hessian, saddles)
-    variance = _windows(noise, base, reach) ** 2
-    scatter = _scatter(inverse, variance, offset, sigma, reach)
-    near = np.linalg.norm(offset, axis=1) <= np.maximum(1.5, sigma)
-    settled = np.linalg.norm(step, axis=1) < 0.01
-    return Centres(base + offset, height, scatter, wanted & near & settled)
+    kind = np.zeros(len(start), np.int64) if kind is None else kind
+    widest = np.zeros(kind.max() + 1)
+    np.maximum.at(widest, kind, sigma)
+    reach = np.ceil(REACH * widest[kind]).astype(np.int64) + 1
+    return Centres(*fit_marks(flat, noise, start, sigma, reach, steps, saddles))
 
 
 def stand_alone(
-    flat: NDArray[np.floating], centres: Centres, sigma: Floats, noise: NDArray[np.floating]
+    flat: NDArray[np.floating],
+    centres: Centres,
+    sigma: Floats,
+    noise: NDArray[np.floating],
+    kind: Ints | None = None,
 ) -> Mask:
     """(N,) mask of the marks whose centre stays where it is in a window 1.6 times as wide.
 
@@ -167,91 +139,12 @@ def stand_alone(
     centres : Centres, px, that ``fit_centres`` found
     sigma : (N,) array, px, of the windows it used
     noise : (H, W) array, grey values, as for ``fit_centres``
+    kind : (N,) array, optional, as for ``fit_centres``
     """
-    wider = fit_centres(flat, centres.points, WIDER * sigma, noise, STEPS_FROM_NEAR)
+    wider = fit_centres(flat, centres.points, WIDER * sigma, noise, STEPS_FROM_NEAR, kind=kind)
     moved = np.linalg.norm(wider.points - centres.points, axis=1)
     own = np.hypot(wider.sigma_px, centres.sigma_px)
     return wider.round & (moved <= MOST_MOVED * sigma + MOST_MOVED_SIGMAS * own)
-
-
-def _windows(flat: NDArray[np.floating], base: Ints, reach: int) -> Floats:
-    """(N, window, window) of the picture about the pixels ``base`` (N, 2), 0 beyond its edge."""
-    low, high, size = base - reach, base + reach + 1, np.array(flat.shape[::-1])
-    whole = (low >= 0).all(axis=1) & (high <= size).all(axis=1)
-    found = np.zeros((len(base), 2 * reach + 1, 2 * reach + 1))
-    if whole.any():
-        windows = sliding_window_view(flat, found.shape[1:])
-        found[whole] = windows[low[whole, 1], low[whole, 0]]
-    for cut in np.flatnonzero(~whole):  # few: a copy of the picture with a margin takes longer
-        (left, top), (right, bottom) = np.clip([low[cut], high[cut]], 0, size)
-        u, v = low[cut]
-        found[cut, top - v : bottom - v, left - u : right - u] = flat[top:bottom, left:right]
-    return found
-
-
-def _polynomial(
-    values: Floats, offset: Floats, sigma: Floats, reach: int
-) -> tuple[Floats, Floats, Floats]:
-    """Gradient (N, 2), Hessian (N, 2, 2) and value (N,) at ``offset`` of the weighted fit.
-
-    The Gaussian weights separate into u and v, so all sums are products of moments.
-    """
-    span = np.arange(-reach, reach + 1)
-    distance = (span - offset[:, :, None]) / sigma[:, None, None]  # (N, 2, window)
-    weight = np.exp(-(distance**2) / 2)
-    powers = np.empty((len(values), 5, *weight.shape[1:]))  # (N, 5, 2, window)
-    powers[:, 0] = weight
-    for power in range(1, 5):
-        powers[:, power] = powers[:, power - 1] * distance
-    moment = powers.sum(axis=3)
-    in_u, in_v = powers[:, :3, 0], powers[:, :3, 1]
-    right = in_v @ values @ in_u.transpose(0, 2, 1)  # (N, power of v, power of u)
-    p, q = np.array([0, 1, 0, 2, 1, 0]), np.array([0, 0, 1, 0, 1, 2])  # of u and v: a to f
-    left = moment[:, p[:, None] + p, 0] * moment[:, q[:, None] + q, 1]
-    a, b, c, d, e, f = np.linalg.solve(left, right[:, q, p][..., None])[..., 0].T
-    gradient = np.stack([b, c], axis=1) / sigma[:, None]
-    hessian = np.stack([2 * d, e, e, 2 * f], axis=1).reshape(-1, 2, 2)
-    return gradient, hessian / sigma[:, None, None] ** 2, a
-
-
-def _inverse(hessian: Floats, saddles: bool) -> tuple[Floats, Mask]:
-    """Inverse of each Hessian, and which have a maximum no more than five times as long as wide.
-
-    saddles: or else which have curvatures that differ in sign and at most five times in size.
-    Where a Hessian is not as wanted the inverse is 0: no step is taken.
-    """
-    trace, determinant = np.trace(hessian, axis1=1, axis2=2), np.linalg.det(hessian)
-    # The ratio r of the curvatures gives trace^2 / determinant = (r + 1)^2 / r, of a saddle
-    # (r - 1)^2 / -r.
-    if saddles:
-        wanted = -determinant > trace**2 * RIDGE / (RIDGE - 1) ** 2
-    else:
-        wanted = (trace < 0) & (determinant > trace**2 * RIDGE / (RIDGE + 1) ** 2)
-    safe = np.where(wanted[:, None, None], hessian, np.eye(2))
-    return np.where(wanted[:, None, None], np.linalg.inv(safe), 0.0), wanted
-
-
-def _scatter(
-    inverse: Floats, variance: Floats, offset: Floats, sigma: Floats, reach: int
-) -> Floats:
-    """(N,) standard uncertainty of a coordinate, px, root mean square of u and v.
-
-    The gradient is the sum of w d f over that of w d^2, w the weights, d the distances and f
-    the grey values, of ``variance`` each (N, window, window); the inverse Hessian turns its
-    covariance into that of the maximum.
-    """
-    span = np.arange(-reach, reach + 1)
-    distance = span - offset[:, :, None]  # (N, 2, window)
-    weight = np.exp(-((distance / sigma[:, None, None]) ** 2) / 2)
-    square = np.stack([weight**2 * distance**power for power in range(3)], axis=1)
-    moment = square[:, :, 1] @ variance @ square[:, :, 0].transpose(0, 2, 1)  # by powers v, u
-    covariance = np.stack(
-        [moment[:, 0, 2], moment[:, 1, 1], moment[:, 1, 1], moment[:, 2, 0]], axis=1
-    ).reshape(-1, 2, 2)
-    total = weight.sum(axis=2).prod(axis=1) * sigma**2
-    solved = inverse @ covariance @ inverse.transpose(0, 2, 1) / total[:, None, None] ** 2
-    both: Floats = np.trace(solved, axis1=1, axis2=2) / 2
-    return np.sqrt(np.maximum(both, 0.0))
 
 
 # The picture as the search wants it: one grey value a pixel, marks bright, ground level.
@@ -381,8 +274,9 @@ def shrink(bright: Image, reduction: int) -> Image:
     if reduction == 1:
         return bright
     height, width = (length // reduction for length in bright.shape)
-    whole = bright[: height * reduction, : width * reduction]
-    return whole.reshape(height, reduction, width, reduction).mean(axis=(1, 3), dtype=np.float32)
+    rows = np.asarray(sum(bright[k : height * reduction : reduction] for k in range(reduction)))
+    total = sum(rows[:, k : width * reduction : reduction] for k in range(reduction))
+    return np.asarray(total / np.float32(reduction**2))
 
 
 def working_reduction(bright: Image, dot_radius_px: float) -> int:
@@ -440,7 +334,7 @@ def rounding_of(bright: Image) -> float:
     return max(float(np.ptp(bright)), 1e-6) / 255 / float(np.sqrt(12))
 
 
-def prepare(bright: Image, dot_radius_px: float) -> BoardPicture:
+def prepare(bright: Image, dot_radius_px: float, noise: float) -> BoardPicture:
     """The picture levelled and smoothed for dots of about one radius.
 
     The ground is the median over a window of three dot diameters, then smoothed: a slope of
@@ -452,32 +346,35 @@ def prepare(bright: Image, dot_radius_px: float) -> BoardPicture:
     ----------
     bright : (H, W) array, grey values, marks bright
     dot_radius_px : float, px, of the control dots
+    noise : float, standard deviation of a grey value
     """
-    ground = _ground(bright, dot_radius_px)
-    gain = _gain(ground)
-    flat: Image = (bright - ground) * gain
+    small = _ground(bright, dot_radius_px)
+    ground = enlarge(small, bright.shape)
+    gain = _gain(ground, float(np.median(small)))
+    flat = bright - ground
+    flat *= gain
     sigma = float(window_sigma(np.array([dot_radius_px]))[0])
     smooth = np.asarray(
         cv2.GaussianBlur(flat, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32
     )
-    return BoardPicture(flat, smooth, gain, gain * np.float32(noise_of(bright)))
+    return BoardPicture(flat, smooth, gain, gain * np.float32(noise))
 
 
-def _gain(ground: Image) -> Image:
-    """What brings the plate to its median brightness, within a factor of four; 1 if it is dark.
+def _gain(ground: Image, usual: float) -> Image:
+    """What brings the plate to its usual brightness, within a factor of four; 1 if it is dark.
 
     The contrast of dark marks is that of the light on the plate: where it falls to one side it
     draws the marks' maxima to the other, by a quarter of the radius squared times its relative
     slope.  A dark plate's grey value does not show the light.
     """
-    usual = float(np.median(ground))
     if usual >= 0:
         return np.ones_like(ground)
-    return np.clip(usual / np.minimum(ground, usual / 4), 0.25, 4.0).astype(np.float32)
+    gain = np.minimum(ground, usual / 4)
+    return np.clip(np.divide(usual, gain, out=gain), 0.25, 4.0, out=gain)
 
 
 def _ground(bright: Image, dot_radius_px: float) -> Image:
-    """(H, W) the ground; of a large picture with large dots, from a smaller copy: it is smooth."""
+    """The ground; of a large picture with large dots, of a smaller copy: it is smooth."""
     reduction = working_reduction(bright, dot_radius_px)
     small = shrink(bright, reduction)
     window = 2 * int(np.ceil(GROUND_WINDOW * dot_radius_px / reduction)) + 1
@@ -485,4 +382,4 @@ def _ground(bright: Image, dot_radius_px: float) -> Image:
     step = max(high - low, 1e-6) / 255
     median = cv2.medianBlur(np.round((small - low) / step).astype(np.uint8), window)
     smoothed = cv2.GaussianBlur(median.astype(np.float32), (0, 0), window / 4)
-    return enlarge(smoothed * np.float32(step) + np.float32(low), bright.shape)
+    return smoothed * np.float32(step) + np.float32(low)

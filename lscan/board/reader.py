@@ -11,6 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from lscan.board.kernels import noise_by_level
 from lscan.board.lattice import (
     LocalMap,
     complete_nodes,
@@ -26,7 +27,7 @@ from lscan.board.lattice import (
     place_on_board,
     shift_of_discs,
 )
-from lscan.board.marks import Contrast, mark_status, read_dot, read_ring, read_ruler
+from lscan.board.marks import Contrast, mark_status, read_ring, read_round_marks
 from lscan.board.picture import (
     IMMERKAER,
     STEPS_FROM_NEAR,
@@ -201,13 +202,14 @@ def _all_marks(bright: Image, picture: BoardPicture, nodes: Nodes, board: Board)
     nodes = _remeasure(picture, nodes, mapping, board)
     mapping = local_map(complete_nodes(nodes, board.grid.pitch_mm), board.grid.pitch_mm)
     contrast = Contrast.of(nodes, mapping, board.grid.dot_diameter_mm)
+    rulers, dots = read_round_marks(picture, mapping, contrast, board)
     reading = BoardReading(
         image_size=picture.size,
         pitch_mm=board.grid.pitch_mm,
         shape=(nodes.height.shape[0], nodes.height.shape[1]),
         grid=_grid_marks(picture, nodes, mapping, board.grid),
-        rulers=tuple(read_ruler(picture, mapping, contrast, ruler) for ruler in board.ruler),
-        dots={dot.name: read_dot(picture, mapping, contrast, dot) for dot in board.dot},
+        rulers=rulers,
+        dots=dots,
         rings={ring.name: read_ring(picture, mapping, contrast, ring) for ring in board.ring},
     )
     return less_sure(reading, lattice_scatter(nodes))
@@ -218,8 +220,10 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
     grid = board.grid
     shape = (2 * grid.rows + 1, 2 * grid.columns + 1)  # the seed may be any dot of the board
     faults = []
-    for seeds in _proposals(bright, board):
-        picture, nodes, fault = _search_dots(bright, grid, seeds, shape, (grid.rows, grid.columns))
+    noise = noise_of(bright)
+    for seeds in _proposals(bright, board, noise):
+        corner = grid.rows, grid.columns
+        picture, nodes, fault = _search_dots(bright, noise, grid, seeds, shape, corner)
         if fault is None:
             return picture, nodes.part(nodes.extent())
         faults.append((int(nodes.found.sum()), fault))
@@ -227,7 +231,7 @@ def _search_from_anywhere(bright: Image, board: Board) -> tuple[BoardPicture, No
     raise BoardNotFound(f"the board was not found: {most[1]}")
 
 
-def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
+def _proposals(bright: Image, board: Board, noise: float) -> Iterator[Floats]:
     """Seeds to begin with; of a large picture, those that a smaller copy shows come first."""
     reduction = reduction_of(bright)
     if reduction > 1:
@@ -235,13 +239,14 @@ def _proposals(bright: Image, board: Board) -> Iterator[Floats]:
         with suppress(BoardNotFound):  # dots may be too small in it
             for seeds in propose_seeds(small, board, noise_of(small)):
                 yield (seeds + 0.5) * reduction - 0.5
-    yield from propose_seeds(bright, board, noise_of(bright))
+    yield from propose_seeds(bright, board, noise)
 
 
 def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPicture, Nodes]:
     """The dots found from seeds given by hand, the first of which is the origin."""
     grid = board.grid
-    picture, nodes, fault = _search_dots(bright, grid, seeds, (grid.rows, grid.columns), (0, 0))
+    shape, noise = (grid.rows, grid.columns), noise_of(bright)
+    picture, nodes, fault = _search_dots(bright, noise, grid, seeds, shape, (0, 0))
     if fault is not None:
         given = np.round(seeds, 1).tolist()
         raise BoardNotFound(f"the board was not found from the seeds {given}: {fault}")
@@ -252,14 +257,19 @@ def _search_from(bright: Image, board: Board, seeds: Floats) -> tuple[BoardPictu
 
 
 def _search_dots(
-    bright: Image, grid: Grid, seeds: Floats, shape: tuple[int, int], corner: tuple[int, int]
+    bright: Image,
+    noise: float,
+    grid: Grid,
+    seeds: Floats,
+    shape: tuple[int, int],
+    corner: tuple[int, int],
 ) -> tuple[BoardPicture, Nodes, str | None]:
     """The picture levelled, the dots found from seeds, and what speaks against them.
 
     shape: of the nodes to fill.  corner: the node of the first seed.
     """
     pitch_px = float(np.linalg.norm(seeds[1:] - seeds[0], axis=1).mean())
-    picture = prepare(bright, pitch_px * dot_part(grid) / 2)
+    picture = prepare(bright, pitch_px * dot_part(grid) / 2, noise)
     nodes = grow(picture, seeds, shape, corner, dot_part(grid))
     drop_outliers(nodes, grid.pitch_mm)
     drop_islands(nodes)
@@ -337,8 +347,7 @@ def noise_image(bright: Image, nodes: Nodes, radius_px: float) -> Image:
         levels, variances = np.append(levels, dot[0]), np.append(variances, dot[1])
     order = np.argsort(levels)
     some = shrink(smooth, working_reduction(bright, radius_px))
-    variance = np.interp(some, levels[order], variances[order])
-    noise = np.sqrt(np.maximum(variance, rounding_of(bright) ** 2)).astype(np.float32)
+    noise = noise_by_level(some, levels[order], variances[order], rounding_of(bright) ** 2)
     return enlarge(noise, bright.shape)
 
 
@@ -349,18 +358,15 @@ def _plate_levels(
 
     The norm of Immerkær's mask (picture.noise_of) is 6.
     """
+    plate = np.flatnonzero(_clear_of(nodes, radius_px, bright.shape))
+    some = plate[:: max(1, len(plate) // MOST_PIXELS)]
     response = cv2.filter2D(bright, cv2.CV_32F, IMMERKAER)
-    plate = _clear_of(nodes, radius_px, bright.shape)
-    thinning = max(1, int(plate.sum()) // MOST_PIXELS)
-    values = response[plate][::thinning].astype(float)
-    level = smooth[plate][::thinning].astype(float)
+    values, level = (of.ravel()[some].astype(float) for of in (response, smooth))
     count = int(np.clip(len(level) // FEWEST_PIXELS, 1, LEVELS))
-    order = np.argsort(level, kind="stable")
-    parts = np.array_split(order, count)
-    return (
-        np.array([np.median(level[part]) for part in parts]),
-        np.array([_cut_variance(values[part]) / 36 for part in parts]),
-    )
+    order = np.argsort(level)
+    levels, parts = (np.array_split(of[order], count) for of in (level, values))
+    middles = [_middle(part) for part in levels]
+    return np.array(middles), np.array([_cut_variance(part) / 36 for part in parts])
 
 
 def _clear_of(nodes: Nodes, radius_px: float, shape: tuple[int, ...]) -> Mask:
@@ -372,7 +378,7 @@ def _clear_of(nodes: Nodes, radius_px: float, shape: tuple[int, ...]) -> Mask:
         cv2.circle(clear, (int(u), int(v)), radius, 0, -1)
     if clear.sum() < FEWEST_PIXELS:
         clear[1:-1, 1:-1] = 1
-    return clear.astype(bool)
+    return clear.view(bool)
 
 
 def _dot_level(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
@@ -413,13 +419,20 @@ def _dot_level(bright: Image, nodes: Nodes) -> tuple[float, float] | None:
 
 def _cut_variance(values: Floats) -> float:
     """Variance of the normal noise in ``values``, what lies beyond 2.5 sigmas left out."""
-    variance = (float(np.median(np.abs(values))) / 0.6745) ** 2
+    sizes = np.sort(np.abs(values))
+    squares = sizes**2
+    total, variance = np.cumsum(squares), (_middle(sizes) / 0.6745) ** 2
     for _ in range(10):
-        kept = values[values**2 <= CUT**2 * variance]
-        if len(kept) == 0 or variance == 0:
+        kept = int(np.searchsorted(squares, CUT**2 * variance, side="right"))
+        if kept == 0 or variance == 0:
             break
-        variance = float(np.mean(kept**2)) / KEPT
+        variance = float(total[kept - 1]) / kept / KEPT
     return variance
+
+
+def _middle(values: Floats) -> float:
+    """The median of values that rise."""
+    return float(values[(len(values) - 1) // 2] + values[len(values) // 2]) / 2
 
 
 def grain(picture: BoardPicture, points: Floats, radius_px: float) -> Floats:

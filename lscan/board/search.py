@@ -10,8 +10,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
+from lscan.board.kernels import (
+    brightest,
+    crosses,
+    means_of_known,
+    round_peaks,
+)
 from lscan.board.picture import (
     WORKING_RADIUS_PX,
     BoardPicture,
@@ -32,7 +38,11 @@ NOISE_LIMIT = 6.0  # sigmas above the ground
 ELSEWHERE = 0.1  # of the box: a mark expected less far away would have been seen before
 SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
 NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
-
+BESIDE = np.array([step * 3 for step in NEXT])  # as kernels.means_of_known takes them
+STEPS_ON = np.array(
+    [(r, c, r, c, 2 * r, 2 * c) for r, c in NEXT]
+    + [(r, 0, 0, c, r, c) for r in (1, -1) for c in (1, -1)]
+)
 
 Seek = Callable[[Floats, Floats, Floats], tuple[Centres, Mask]]
 """From where N marks are expected (N, 2), px, the pitch there (N,), px, and the mean height and
@@ -193,16 +203,22 @@ def spread(
         tried[todo] = expected[todo]
         beside = mean_beside(part.values[..., 2:])[todo]
         seen, accepted = seek(expected[todo], pitch[todo], beside)
-        found = seen.points[accepted]
         # A row that has strayed finds the dots of another once more: each belongs to one node.
-        every = cKDTree(np.vstack([part.points[part.found], found]))
-        apart = np.asarray(every.query(found, k=2)[0])[:, 1]
-        accepted[accepted] = apart > box * pitch[todo][accepted]
+        found = seen.points[accepted]
+        apart = cdist(found, np.vstack([found, part.points[part.found]]))
+        np.fill_diagonal(apart, np.inf)
+        accepted[accepted] = apart.min(axis=1) > box * pitch[todo][accepted]
         part.put(np.nonzero(todo), seen, accepted)
         more = accepted.any()
 
 
-def look(picture: BoardPicture, expected: Floats, half_box: Floats, sigma: Floats) -> Centres:
+def look(
+    picture: BoardPicture,
+    expected: Floats,
+    half_box: Floats,
+    sigma: Floats,
+    kind: Ints | None = None,
+) -> Centres:
     """Centres of the marks in boxes about the expected places, N of each.
 
     A mark no higher than the noise is not round.
@@ -213,33 +229,15 @@ def look(picture: BoardPicture, expected: Floats, half_box: Floats, sigma: Float
     expected : (N, 2) array, px, of (u, v)
     half_box : (N,) array, px
     sigma : (N,) array, px, the window for the mark's size
+    kind : (N,) array, optional, as for ``fit_centres``
     """
-    start = _brightest(picture, expected, half_box)
-    centres = fit_centres(picture.flat, start, sigma, picture.noise, SEARCH_STEPS)
+    half = np.maximum(np.round(half_box), 1).astype(np.int64)
+    start = brightest(picture.smooth, np.rint(expected).astype(np.int64), half).astype(float)
+    centres = fit_centres(picture.flat, start, sigma, picture.noise, SEARCH_STEPS, kind=kind)
     # White noise smoothed by a Gaussian: n / (2 sqrt(pi) sigma).
     noise = picture.noise_at(start)
     visible = centres.height > NOISE_LIMIT * noise / (2 * np.sqrt(np.pi) * sigma)
     return Centres(centres.points, centres.height, centres.sigma_px, centres.round & visible)
-
-
-def _brightest(picture: BoardPicture, expected: Floats, half_box: Floats) -> Floats:
-    """(N, 2) brightest pixel of the smoothed picture in each box."""
-    if len(expected) == 0:
-        return expected
-    width, height = picture.size
-    middle = np.rint(expected).astype(np.int64)
-    reach = int(np.ceil(half_box.max()))
-    span = np.arange(-reach, reach + 1)
-    u, v = middle[:, :1] + span, middle[:, 1:] + span
-    allowed = np.abs(span) <= np.maximum(np.round(half_box), 1)[:, None]
-    use_u, use_v = allowed & (u >= 0) & (u < width), allowed & (v >= 0) & (v < height)
-    window = picture.smooth[
-        np.clip(v, 0, height - 1)[:, :, None], np.clip(u, 0, width - 1)[:, None, :]
-    ]
-    usable = use_v[:, :, None] & use_u[:, None, :]
-    best = np.where(usable, window, -np.inf).reshape(len(middle), -1).argmax(axis=1)
-    row, column = np.divmod(best, len(span))
-    return np.column_stack([middle[:, 0] + span[column], middle[:, 1] + span[row]]).astype(float)
 
 
 def expected_places(points: Floats) -> Floats:
@@ -252,21 +250,18 @@ def expected_places(points: Floats) -> Floats:
     ----------
     points : (R, C, 2) array, px, (u, v) of the nodes known; NaN where none
     """
-    p = points
-    guesses = [2 * shift_by(p, r, c) - shift_by(p, 2 * r, 2 * c) for r, c in NEXT]
-    for r, c in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        guesses.append(shift_by(p, r, 0) + shift_by(p, 0, c) - shift_by(p, r, c))
-    return _mean_of_known(guesses)
+    return means_of_known(np.ascontiguousarray(points), STEPS_ON)
 
 
 def mean_beside(values: Floats) -> Floats:
-    """(R, C) mean of what is known at the four nodes beside each.
+    """(R, C, ...) mean of what is known at the four nodes beside each.
 
     Parameters
     ----------
-    values : (R, C) array, NaN where nothing is known
+    values : (R, C, ...) array, NaN where nothing is known
     """
-    return _mean_of_known([shift_by(values, r, c) for r, c in NEXT])
+    several = np.ascontiguousarray(values).reshape(*values.shape[:2], -1)
+    return means_of_known(several, BESIDE).reshape(values.shape)
 
 
 def local_pitch(points: Floats) -> Floats:
@@ -276,12 +271,15 @@ def local_pitch(points: Floats) -> Floats:
     ----------
     points : (R, C, 2) array, px, (u, v) of the nodes
     """
-    u, v = points[..., 0], points[..., 1]
-    axes = []
-    for r, c in NEXT[::2]:
-        step = np.hypot(u - shift_by(u, r, c), v - shift_by(v, r, c))
-        axes.append(_mean_of_known([step, shift_by(step, -r, -c)]))
-    return _mean_of_known(axes)
+    ways = []
+    for axis, back in ((1, (0, -1)), (0, (-1, 0))):
+        steps = np.full((*points.shape[:2], 1), np.nan)
+        there = np.s_[:, :-1] if axis == 1 else np.s_[:-1]
+        steps[there] = np.linalg.norm(np.diff(points, axis=axis), axis=2, keepdims=True)
+        ways.append(means_of_known(steps, np.array([(0, 0) * 3, back * 3]))[..., 0])
+    across, down = ways
+    both = np.where(np.isnan(down), across, (across + down) / 2)
+    return np.where(np.isnan(across), down, both)
 
 
 def shift_by(array: Floats, rows: int, columns: int) -> Floats:
@@ -304,15 +302,6 @@ def _overlap(shift: int, length: int) -> slice:
     return slice(max(shift, 0), max(length + min(shift, 0), 0))
 
 
-def _mean_of_known(values: list[Floats]) -> Floats:
-    """Mean over the list of what is not NaN; NaN where nothing is known."""
-    stack = np.stack(values)
-    known = np.isfinite(stack)
-    count = known.sum(axis=0)
-    total = np.where(known, stack, 0).sum(axis=0)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
 # Round marks of one size anywhere in a picture: where the search may begin.
 
 
@@ -322,21 +311,7 @@ WEAKEST = 0.45  # of the ninth strongest: admits dots in light 2:1 darker
 MOST = 30_000  # blobs of one size; more is texture
 
 
-@dataclass(frozen=True)
-class Blobs:
-    """N round marks.
-
-    Attributes
-    ----------
-    points : (N, 2) array, px, (u, v) to about half a pixel
-    strength : (N,) array, grey values
-    """
-
-    points: Floats
-    strength: Floats
-
-
-def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
+def find_blobs(bright: Image, radius_px: float, noise: float) -> tuple[Floats, Floats]:
     """The bright round marks of about one radius, strongest first.
 
     They are the maxima of the negative Laplacian of Gaussian with sigma = radius / sqrt(2),
@@ -348,6 +323,11 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
     radius_px : float, px, of the marks
     noise : float, standard deviation of a grey value
 
+    Returns
+    -------
+    tuple of array
+        (N, 2) px, their (u, v) to about half a pixel, and (N,) grey values, their strength.
+
     References
     ----------
     Lindeberg, "Feature detection with automatic scale selection", IJCV 30 (1998).
@@ -356,31 +336,18 @@ def find_blobs(bright: Image, radius_px: float, noise: float) -> Blobs:
     small = shrink(bright, reduction)
     sigma = radius_px / reduction / np.sqrt(2)
     smooth = np.asarray(cv2.GaussianBlur(small, (0, 0), sigma), dtype=np.float32)
-    response = -(sigma**2) * cv2.Laplacian(smooth, cv2.CV_32F, ksize=1)
+    laplacian = cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, scale=-1)
+    response = np.asarray(laplacian, dtype=np.float32)
     # White noise n answers with n / (sqrt(2 pi) sigma); averaging has divided it already.
     floor = NOISE_LIMIT * noise / reduction / (np.sqrt(2 * np.pi) * sigma)
-    peak = (response >= cv2.dilate(response, np.ones((3, 3), np.uint8))) & (response > floor)
-    peak[[0, -1], :] = peak[:, [0, -1]] = False
-    row, column = np.nonzero(peak)
-    row, column = _round_ones(smooth, row, column)
-    strength = response[row, column].astype(float)
+    peaks = round_peaks(smooth, response, floor / sigma**2, LONGEST)
+    strength = sigma**2 * response.ravel()[peaks].astype(float)
+    if len(peaks) >= FEWEST:
+        peaks = peaks[(clear := strength >= WEAKEST * np.partition(strength, -FEWEST)[-FEWEST])]
+        strength = strength[clear]
     order = np.argsort(-strength, kind="stable")[:MOST]
-    if len(order) >= FEWEST:
-        order = order[strength[order] >= WEAKEST * strength[order[FEWEST - 1]]]
-    pixels = np.column_stack([column, row])[order].astype(float)
-    points = (pixels + 0.5) * reduction - 0.5
-    return Blobs(points, strength[order])
-
-
-def _round_ones(smooth: Image, row: Ints, column: Ints) -> tuple[Ints, Ints]:
-    """The peaks that fall off in all directions alike: no ridges, edges or saddles."""
-    s, r, c = smooth, row, column
-    uu = s[r, c + 1] + s[r, c - 1] - 2 * s[r, c]
-    vv = s[r + 1, c] + s[r - 1, c] - 2 * s[r, c]
-    uv = (s[r + 1, c + 1] + s[r - 1, c - 1] - s[r + 1, c - 1] - s[r - 1, c + 1]) / 4
-    trace, determinant = uu + vv, uu * vv - uv**2
-    is_round = (trace < 0) & (determinant > trace**2 * LONGEST / (LONGEST + 1) ** 2)
-    return row[is_round], column[is_round]
+    row, column = np.divmod(peaks[order], small.shape[1])
+    return (np.column_stack([column, row]) + 0.5) * reduction - 0.5, strength[order]
 
 
 # The three first dots: a dot, the one beneath and the one to its right (Fig. 12, #1 to #3).
@@ -395,7 +362,7 @@ SIZE_STEP = 1.26  # between sizes tried: a third of an octave
 PITCH_RANGE = (0.6, 1.6)  # of the pitch expected from the dot's size: blur and foreshortening
 LEAN = 0.5  # tangent of the most a row may lean against a column's square: 26 degrees
 UNEVEN = 0.15  # of the pitch: most by which opposite neighbours may miss being opposite
-NEIGHBOURS = 24
+NEIGHBOURS = 23
 PROPOSALS = 3
 
 
@@ -436,10 +403,10 @@ def propose_seeds(bright: Image, board: Board, noise: float) -> list[Floats]:
     best, best_weight = None, 0.0
     for radius in SMALLEST_RADIUS_PX * SIZE_STEP ** np.arange(count):
         blobs = find_blobs(bright, float(radius), noise)
-        crosses = find_crosses(blobs.points, blobs.strength, float(2 * radius * ratio))
-        weight = float(crosses.strength.sum())
+        several = find_crosses(*blobs, float(2 * radius * ratio))
+        weight = float(several.strength.sum())
         if weight > best_weight:
-            best, best_weight = crosses, weight
+            best, best_weight = several, weight
     if best is None:
         raise BoardNotFound(
             f"no grid of {board.marks} dots in the picture: light and sharpen the board, or "
@@ -462,44 +429,15 @@ def find_crosses(points: Floats, strength: Floats, pitch: float) -> Crosses:
     strength : (N,) array, grey values
     pitch : float, px
     """
-    if len(points) < 5:
-        return Crosses(np.empty((0, 3, 2)), np.empty(0), np.empty(0))
     low, high = PITCH_RANGE[0] * pitch, PITCH_RANGE[1] * pitch
-    count = min(NEIGHBOURS, len(points))
-    found = cKDTree(points).query(points, k=count, distance_upper_bound=high)
-    distance, index = (np.asarray(array) for array in found)
-    usable: Mask = np.less(index, len(points)) & (distance >= low)
-    enough = usable.sum(axis=1) >= 4  # most blobs of a wrong size end here
-    usable, index = usable[enough], index[enough]
-    neighbours = points[np.where(usable, index, 0)]
-    points, strength = points[enough], strength[enough]
-    away = neighbours - points[:, None]  # (N, count, 2)
-    # Turned, by 45 degrees at most, so that the nearest neighbour lies on an axis.
-    nearest = _nearest(away, usable)
-    angle = np.arctan2(nearest[:, 1], nearest[:, 0])
-    lean = np.nan_to_num(angle - np.rint(angle / (np.pi / 2)) * (np.pi / 2))
-    cos, sin = np.cos(lean), np.sin(lean)
-    turn = np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2)
-    away = away @ turn
-    right = _nearest(away, usable & (np.abs(away[..., 1]) < LEAN * away[..., 0]))
-    left = _nearest(away, usable & (np.abs(away[..., 1]) < -LEAN * away[..., 0]))
-    beneath = _nearest(away, usable & (np.abs(away[..., 0]) < LEAN * away[..., 1]))
-    above = _nearest(away, usable & (np.abs(away[..., 0]) < -LEAN * away[..., 1]))
+    steps = crosses(np.ascontiguousarray(points), low, high, NEIGHBOURS, LEAN)
+    right, left, beneath, above = steps.reshape(-1, 4, 2).swapaxes(0, 1)
     scale = (np.linalg.norm(right, axis=1) + np.linalg.norm(beneath, axis=1)) / 2
     misses = np.stack([right + left, beneath + above])
     uneven = np.sqrt((misses**2).sum(axis=2)) / scale
     good: Mask = np.all(uneven < UNEVEN, axis=0)  # False where a neighbour is missing (NaN)
-    back = turn.transpose(0, 2, 1)
-    beneath, right = ((step[:, None] @ back)[:, 0] for step in (beneath, right))
     seeds = np.stack([points, points + beneath, points + right], axis=1)
     return Crosses(seeds[good], uneven.sum(axis=0)[good], strength[good])
-
-
-def _nearest(away: Floats, wanted: Mask) -> Floats:
-    """(N, 2) first wanted vector of each row, which are sorted by length; NaN where none."""
-    first = wanted.argmax(axis=1)
-    vector = np.take_along_axis(away, first[:, None, None], axis=1)[:, 0]
-    return np.where(np.any(wanted, axis=1, keepdims=True), vector, np.nan)
 
 
 def check_seeds(seeds: Floats, size: tuple[int, int]) -> Floats:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from time import perf_counter
 from typing import Annotated
 
@@ -14,7 +15,13 @@ from lscan.calibration.maps.polynomial import box, terms
 from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
 from lscan.calibration.physical import BoardKnown, PhysicalMap
-from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, find_solver
+from lscan.calibration.planemap import (
+    NOTHING_KNOWN,
+    NamedSolver,
+    PlaneMap,
+    SolvedMap,
+    find_solver,
+)
 from lscan.camera.posedboards import contradiction
 from lscan.camera.resection import MEDIAN, pixel_derivatives
 from lscan.config.plugins import others_versions
@@ -329,7 +336,7 @@ def residuals(plane_map: PlaneMap, reading: BoardReading) -> tuple[Floats, Float
     reading : BoardReading, px and mm, of N control points
     """
     image = reading.grid.image_px
-    mm = plane_map.to_plane(image).xz_mm - reading.grid.board_mm
+    mm = _points(plane_map, image) - reading.grid.board_mm
     return mm, in_picture(plane_map, image, mm)
 
 
@@ -344,13 +351,21 @@ def in_picture(plane_map: PlaneMap, image_px: Floats, shift_mm: Floats) -> Float
     image_px : (N, 2) array, px, of (u, v)
     shift_mm : (N, 2) array, mm, of (x, z) in the plane frame
     """
-    jacobian = pixel_derivatives(lambda pixels: plane_map.to_plane(pixels).xz_mm, image_px)
+    jacobian = pixel_derivatives(partial(_points, plane_map), image_px)
     finite = np.isfinite(jacobian).all(axis=(1, 2)) & np.isfinite(shift_mm).all(axis=1)
     known = np.flatnonzero(finite)
     known = known[np.linalg.det(jacobian[known]) != 0]
     px = np.full_like(shift_mm, np.nan)
     px[known] = np.linalg.solve(jacobian[known], shift_mm[known, :, None])[:, :, 0]
     return px
+
+
+def _points(plane_map: PlaneMap, image_px: Floats) -> Floats:
+    """(N, 2) mm of pixels, in less time where the map need not state its uncertainty."""
+    solved = getattr(plane_map, "chosen", plane_map)  # of auto
+    if isinstance(solved, SolvedMap):
+        return solved.locate(image_px)
+    return plane_map.to_plane(image_px).xz_mm
 
 
 def _rms(pairs: Floats) -> float:

@@ -146,11 +146,25 @@ class SheetGeometry:
         ----------
         image_px : (N, 2) array, px, of (u, v)
         """
+        return self.locate_with_slopes(image_px)[0]
+
+    def locate_with_slopes(self, image_px: Floats) -> tuple[Floats, Floats]:
+        """As ``locate``, and (N, 2) by how much the points move, over how far the plane does.
+
+        Parameters
+        ----------
+        image_px : (N, 2) array, px, of (u, v)
+        """
         about_x, about_z = self.turn_rad
         normal = self.axes @ rotation(np.array([about_x, 0.0, about_z]))[:, 1]
         place = self.place_mm + self.shift_mm * self.axes[:, 1]
-        points = meet_plane(rays(camera_of(self.theta, self.port), image_px), normal, place)
-        return (points - self.place_mm) @ self.axes[:, [0, 2]] + self.at_mm
+        seen = rays(camera_of(self.theta, self.port), image_px)
+        points = meet_plane(seen, normal, place) - self.place_mm
+        slopes = seen.direction * (self.axes[:, 1] @ normal / (seen.direction @ normal))[:, None]
+        in_plane = self.axes[:, [0, 2]]
+        return points @ in_plane + self.at_mm, np.where(
+            np.isfinite(points), slopes, np.nan
+        ) @ in_plane
 
     def with_camera_turned(self, turn_rad: Floats) -> "SheetGeometry":
         """The same with the camera turned about its pinhole.
@@ -478,14 +492,15 @@ def board_modes(
     region : Region, px, that the board covers
     image_px : (N, 2) array, px, of (u, v)
     """
-    ways = [replace(geometry, shift_mm=way).locate(image_px) for way in (1.0, -1.0)]
-    half_mm = np.abs(geometry.locate(region.outline_px) - geometry.at_mm).max(axis=0)
-    arm = geometry.locate(image_px) - geometry.at_mm
+    corners = len(region.outline_px)
+    places, slopes = geometry.locate_with_slopes(np.vstack([region.outline_px, image_px]))
+    half_mm = np.abs(places[:corners] - geometry.at_mm).max(axis=0)
+    arm = places[corners:] - geometry.at_mm
     x, z = (arm / half_mm).T
     tilt_x, tilt_z = np.radians(board.board_tilt_deg) * half_mm[::-1]
     sigmas = [board.board_offset_mm, tilt_x, tilt_z, *[board.board_bend_mm] * 3]
     heights = np.stack([np.ones_like(x), z, x, x * x, x * z, z * z], axis=1) * sigmas
-    beside = (ways[0] - ways[1])[:, :, None] / 2 * heights[:, None]
+    beside = slopes[corners:, :, None] * heights[:, None]
     scale = arm[:, :, None] * board.board_scale_percent / 100
     return np.concatenate([beside, scale], axis=2)[:, :, [*map(bool, sigmas), bool(scale.any())]]
 

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr
 
 from lscan.calibration.fields import NotNegative, Number, Pair, Place
-from lscan.calibration.marks import Region, found_marks
+from lscan.calibration.marks import Region, all_marks, found_marks
 from lscan.camera.optics import require_columns, stated_port, stated_water
 from lscan.camera.posedboards import PortKind
 from lscan.config.documents import Strict, check
@@ -608,8 +608,19 @@ def with_lack_of_fit(solved: Solved, reading: BoardReading) -> Solved:
     solved : SolvedMap, of any family
     reading : BoardReading, px and mm, the map was solved from
     """
-    excess_mm = np.array([_excess_mm(solved, reading, coordinate) for coordinate in (0, 1)])
-    return solved.model_copy(update={"lack_of_fit_mm": excess_mm})
+    checked = [[True, True]]
+    checked += [[of.direction == "vertical", of.direction == "horizontal"] for of in reading.rulers]
+    several = all_marks(reading)
+    judged = np.repeat(checked, [int(marks.found.sum()) for marks in several], axis=0)
+    known, image, sigma = found_marks(several)
+    covered = solved.region.covers(image)
+    estimate = solved.estimate(image[covered], sigma[covered] ** 2)
+    residual = estimate.xz_mm - known[covered]
+    judged = judged[covered] & np.isfinite(residual)
+    count = np.maximum(judged.sum(axis=0), 1)
+    excess = np.where(judged, residual**2, 0).sum(axis=0) / count
+    excess -= np.where(judged, estimate.variance_mm2, 0).sum(axis=0) / count
+    return solved.model_copy(update={"lack_of_fit_mm": np.sqrt(np.maximum(excess, 0.0))})
 
 
 def _modes(estimate: Estimate, covered: Mask, valued: Mask) -> Floats | None:
@@ -635,20 +646,6 @@ def _sigma_or_zero(image_px: Floats, sigma_px: Floats | None) -> Floats:
         where, allowed = f"sigma_px[{first}]", "a finite number not below 0"
         raise InputError("bad uncertainty", where=where, value=float(sigma[first]), allowed=allowed)
     return sigma
-
-
-def _excess_mm(solved: SolvedMap, reading: BoardReading, coordinate: int) -> float:
-    direction = ("vertical", "horizontal")[coordinate]
-    rulers = [ruler.marks for ruler in reading.rulers if ruler.direction == direction]
-    known, image, sigma = found_marks([reading.grid, *rulers])
-    covered = solved.region.covers(image)
-    estimate = solved.estimate(image[covered], sigma[covered] ** 2)
-    residual = estimate.xz_mm[:, coordinate] - known[covered, coordinate]
-    valued = np.isfinite(residual)
-    if not valued.any():
-        return 0.0
-    explained = estimate.variance_mm2[valued, coordinate]
-    return float(np.sqrt(max(0.0, np.mean(residual[valued] ** 2) - np.mean(explained))))
 
 
 def full_name(family: str, variant: str) -> str:

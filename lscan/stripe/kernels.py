@@ -105,6 +105,9 @@ def compile_all() -> None:
     shot_and_speckle(np.ones(1), np.ones(1), 1.0)
     linked_runs(one, one, one, 1)
     best_path(one, np.zeros(1), np.zeros(1), 1, 1.0, 1.0, 1.0)
+    from lscan.board.kernels import compile_marks  # it has its decorators from here
+
+    compile_marks()
 
 
 # Fisher's scoring for one Gaussian line after another (fit.py).

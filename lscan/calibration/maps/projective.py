@@ -182,14 +182,16 @@ def _least_squares_homography(scaled: Floats, known: Floats) -> Floats:
         return Homography(h).by_parameters(scaled).reshape(-1, COUNT)
 
     answer = least_squares(
-        residual, IDENTITY, jac=jacobian, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
+        residual, IDENTITY, jac=jacobian, method="lm", xtol=1e-8, ftol=1e-8, gtol=1e-8
     )
     if not (Homography(answer.x).denominator(scaled) > 0).all():
         raise BoardNotFound("the control points found are no picture of a plane")
-    # The sum of squares is flat to its rounding where the map is still 1e-8 mm off; a last step of
-    # Gauss and Newton, which does not look at the sum, closes that.
-    step = np.linalg.lstsq(jacobian(answer.x), residual(answer.x), rcond=None)[0]
-    return answer.x - np.asarray(step, dtype=np.float64)
+    # The sum of squares is flat to its rounding where the map is still 1e-8 mm off; steps of Gauss
+    # and Newton, which do not look at the sum, close that.
+    h = answer.x
+    for _ in range(2):
+        h = h - np.linalg.lstsq(jacobian(h), residual(h), rcond=None)[0]
+    return np.asarray(h, dtype=np.float64)
 
 
 def _covariance(h: Floats, scaled: Floats, sigma: Floats) -> Floats:

@@ -51,7 +51,8 @@ from lscan.records import BoardReading, Floats
 DEGREE = 3
 ORDER = 3  # of the derivatives that roughness is made of
 FLAT = ORDER * (ORDER + 1) // 2  # terms u^i v^j, i + j < ORDER: they have no roughness
-GAUSS_POINTS = 4  # exact for degree 7; a product of two cubics has degree 6
+# Exact for degree 7; a product of two cubics has degree 6.
+GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 @dataclass(frozen=True)
@@ -130,12 +131,11 @@ def _values(knots: Floats, x: Floats, derivative: int) -> Floats:
 
 def _products(knots: Floats, derivative: int) -> Floats:
     """(I, I) integrals of the products of two B-splines' derivatives, by Gauss's rule."""
-    nodes, weights = np.polynomial.legendre.leggauss(GAUSS_POINTS)
     ends = np.unique(knots)
     half = np.diff(ends)[:, None] / 2
-    x = (ends[:-1, None] + half * (1 + nodes)).ravel()
+    x = (ends[:-1, None] + half * (1 + GAUSS_NODES)).ravel()
     values = _values(knots, x, derivative)
-    return (values * (half * weights).ravel()[:, None]).T @ values
+    return (values * (half * GAUSS_WEIGHTS).ravel()[:, None]).T @ values
 
 
 # Penalised least squares: its weight by cross-validation, its covariance as a posterior.
@@ -422,7 +422,7 @@ def _strongest(fit: Smooth, rows: Floats) -> Floats:
     """
     effect = rows @ fit.root
     effect /= np.linalg.norm(effect, axis=1, keepdims=True)
-    _, strength, directions = np.linalg.svd(effect, full_matrices=False)
-    share = np.cumsum(strength**2) / np.sum(strength**2)
+    variance, directions = np.linalg.eigh(effect.T @ effect)
+    share = np.cumsum(variance[::-1]) / np.sum(variance)
     enough = int(np.searchsorted(share, KEPT)) + 1
-    return fit.root @ directions[:enough].T / np.sqrt(share[enough - 1])
+    return fit.root @ directions[:, : -enough - 1 : -1] / np.sqrt(share[enough - 1])
