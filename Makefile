@@ -124,7 +124,7 @@ clean:
 	@# By all cores, which pip does by one; some packages hold files of other versions of Python.
 	@$(BIN)/python -m compileall -qq -j 0 -x '/tests/' .venv/lib || true
 	@# What numba compiles it keeps beside the module, once for all processes that follow.
-	@$(BIN)/python -c "from lscan.stripe.kernels import compile_all; compile_all()"
+	@$(BIN)/python -c "from lscan.pipeline import compile_loops; compile_loops()"
 	@touch $@
 
 # A bare Debian or Ubuntu has Python without the part that makes virtual environments.

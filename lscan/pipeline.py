@@ -12,8 +12,10 @@ import numpy as np
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import cores, in_order
 from lscan.board import read_board
+from lscan.board.kernels import compile_marks
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.calibration.check import map_for_rig
+from lscan.calibration.maps.spline import compile_splines
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board
 from lscan.config.rig import CameraSection, Rig, RigFile
@@ -29,9 +31,11 @@ from lscan.measure import (
 )
 from lscan.records import BoardReading, Bytes, Floats, Length, Profile, Progress, Status, Surface
 from lscan.stripe.extract import extract_stripe
+from lscan.stripe.kernels import compile_lines
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
 from lscan.surface.alignment import KeptAlignment
 from lscan.surface.shaft import ShaftFit, calibrate_shaft, shaft_of, stack_about
+from lscan.surface.sheetresponse import compile_reliefs
 from lscan.surface.surface import provenance_of, to_profiles
 from lscan.surface.thickness import correct_thickness
 
@@ -715,3 +719,11 @@ def require_piece(run: Run, wanted: type[Piece]) -> Piece:
     what = "the run's rig file has another workpiece"
     allowed = f'[workpiece] kind = "{wanted.model_fields["kind"].default}"'
     raise InputError(what, where=run.path, value=piece.kind if piece else None, allowed=allowed)
+
+
+def compile_loops() -> None:
+    """Compile all loops of the instrument, for the processes that follow."""
+    compile_lines()
+    compile_marks()
+    compile_splines()
+    compile_reliefs()

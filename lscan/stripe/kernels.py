@@ -76,8 +76,8 @@ def compiled_order(function: Callable[_P, _R]) -> Callable[_P, _R]:
     return compiled(function, {"nnan", "nsz", "contract"})
 
 
-def compile_all() -> None:
-    """Compile all loops, for the processes that follow."""
+def compile_lines() -> None:
+    """Compile the loops of this module, for the processes that follow."""
     line, window, used = np.zeros((1, PARAMETERS)), np.zeros((1, 3)), np.ones((1, 3), np.bool_)
     noise, precision = np.array([1.0, 0.0, 0.0]), np.ones((1, PARAMETERS))
     fit_columns(line, -1.0, window, np.zeros(1), used, ~used, noise, line, precision)
@@ -105,9 +105,6 @@ def compile_all() -> None:
     shot_and_speckle(np.ones(1), np.ones(1), 1.0)
     linked_runs(one, one, one, 1)
     best_path(one, np.zeros(1), np.zeros(1), 1, 1.0, 1.0, 1.0)
-    from lscan.board.kernels import compile_marks  # it has its decorators from here
-
-    compile_marks()
 
 
 # Fisher's scoring for one Gaussian line after another (fit.py).

@@ -145,6 +145,14 @@ def _responses(
     return shown, linear
 
 
+def compile_reliefs() -> None:
+    """Compile the loops of this module, for the processes that follow."""
+    one, sight = np.zeros((1, 1)), Sight(np.zeros((1, 1)), np.zeros(1), np.ones((2, 1, 1)))
+    responses(one, 1.0, 1.0, 1.0, sight)
+    at = np.zeros(1, np.int64)
+    _normal_equations(np.zeros((1, 1, 3)), one, 0, at, at, 1.0)
+
+
 # What the sheet's thickness does to a line on a smoothly curved target: a series.
 #
 # Light that falls a little before or behind the sheet's middle plane meets the target at another

@@ -44,6 +44,7 @@ from lscan.camera.resection import posed_boards
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
 from lscan.records import BoardReading, Floats
+from lscan.stripe.kernels import compiled, compiled_sums
 
 # Tensor-product cubic B-splines over the picture, and how rough such a surface is.
 
@@ -136,6 +137,103 @@ def _products(knots: Floats, derivative: int) -> Floats:
     x = (ends[:-1, None] + half * (1 + GAUSS_NODES)).ravel()
     values = _values(knots, x, derivative)
     return (values * (half * GAUSS_WEIGHTS).ravel()[:, None]).T @ values
+
+
+@compiled_sums
+def surface_at(
+    knots_u: Floats,
+    knots_v: Floats,
+    points: Floats,
+    coefficients: Floats,
+    root_x: Floats,
+    root_z: Floats,
+    few: int,
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """A smooth surface of two values and what it errs by, at N points.
+
+    Its values (N, 2), their derivatives (N, 2, 2) by u and v, errors of either value by the first
+    few columns of its root (N, F), and the sum of squares (N, 2) of those by the others.  Of all
+    products of B-splines sixteen are not 0 at a point.
+
+    Parameters
+    ----------
+    knots_u, knots_v : array, as of :class:`TensorBasis`, in the unit of the points
+    points : (N, 2) array, of (u, v)
+    coefficients : (2, K) array
+    root_x, root_z : (K, M) array, of the coefficients' covariances
+    few : int, of the columns
+    """
+    count, size_v = len(points), len(knots_v) - DEGREE - 1
+    values, slopes = np.zeros((count, 2)), np.zeros((count, 2, 2))
+    rest = np.zeros((count, 2))
+    first = np.empty((count, min(few, root_x.shape[1])))
+    second = np.empty((count, min(few, root_z.shape[1])))
+    of_u, by_u = np.empty(DEGREE + 1), np.empty(DEGREE + 1)
+    of_v, by_v = np.empty(DEGREE + 1), np.empty(DEGREE + 1)
+    errors = np.empty(max(root_x.shape[1], root_z.shape[1]))
+    for n in range(count):
+        begin_u = _splines_at(knots_u, points[n, 0], of_u, by_u)
+        begin_v = _splines_at(knots_v, points[n, 1], of_v, by_v)
+        for value in range(2):
+            root = root_x if value == 0 else root_z
+            errors[:] = 0.0
+            for i in range(DEGREE + 1):
+                for j in range(DEGREE + 1):
+                    at = (begin_u + i) * size_v + begin_v + j
+                    coefficient, weight, along = (
+                        coefficients[value, at],
+                        of_u[i] * of_v[j],
+                        root[at],
+                    )
+                    values[n, value] += weight * coefficient
+                    slopes[n, value, 0] += by_u[i] * of_v[j] * coefficient
+                    slopes[n, value, 1] += of_u[i] * by_v[j] * coefficient
+                    for m in range(len(along)):
+                        errors[m] += weight * along[m]
+            own = first[n] if value == 0 else second[n]
+            for m in range(root.shape[1]):
+                if m < len(own):
+                    own[m] = errors[m]
+                else:
+                    rest[n, value] += errors[m] ** 2
+    return values, slopes, first, second, rest
+
+
+@compiled
+def _splines_at(knots: Floats, x: float, values: Floats, slopes: Floats) -> int:
+    """The first of the four cubic B-splines that are not 0 at x; their values and derivatives.
+
+    Beyond the ends the outermost polynomials go on.
+
+    References
+    ----------
+    Cox and de Boor's recursion: C. de Boor, A Practical Guide to Splines (1978), ch. X.
+    """
+    piece = DEGREE
+    while piece < len(knots) - DEGREE - 2 and x >= knots[piece + 1]:
+        piece += 1
+    values[:], slopes[:] = 0.0, 0.0
+    values[0] = 1.0
+    for degree in range(1, DEGREE + 1):
+        carried, fallen = 0.0, 0.0
+        for i in range(degree):
+            right, left = knots[piece + i + 1], knots[piece + i + 1 - degree]
+            share = values[i] / (right - left)
+            if degree == DEGREE:
+                slopes[i] = fallen - DEGREE * share
+                fallen = DEGREE * share
+            values[i] = carried + (right - x) * share
+            carried = (x - left) * share
+        values[degree] = carried
+        if degree == DEGREE:
+            slopes[degree] = fallen
+    return piece - DEGREE
+
+
+def compile_splines() -> None:
+    """Compile the loops of this module, for the processes that follow."""
+    knots, root = np.array([0.0] * 4 + [1.0] * 4), np.ones((16, 1))
+    surface_at(knots, knots, np.zeros((1, 2)), np.ones((2, 16)), root, root, 1)
 
 
 # Penalised least squares: its weight by cross-validation, its covariance as a posterior.
@@ -290,18 +388,20 @@ class Spline(SolvedMap):
 
     def _estimate_with(self, image_px: Floats, variance_px2: Floats, most: int | None) -> Estimate:
         """The points with at most so many modes of x and of z."""
-        jacobian, scaled = self.base.derivatives(image_px), self.pixels.apply(image_px)
-        rows = self.basis.rows(scaled)
-        for axis, by in enumerate(((1, 0), (0, 1))):
-            bend = self.basis.rows(scaled, *by) @ self.coefficients.T
-            jacobian[:, :, axis] += bend / self.pixels.scale[axis]
-        errors = [rows @ root for root in self.roots]
-        modes = separate_modes(*(each[:, :most] for each in errors))
-        places = self.base.places(image_px) + rows @ self.coefficients.T
-        known = estimate_of(places, jacobian, modes, variance_px2)
-        if most is None:
-            return known
-        rest = np.column_stack([(each[:, most:] ** 2).sum(axis=1) for each in errors])
+        jacobian = self.base.derivatives(image_px)
+        x, z = self.roots
+        added, bend, first, second, rest = surface_at(
+            self.basis.knots_u,
+            self.basis.knots_v,
+            self.pixels.apply(image_px),
+            self.coefficients,
+            np.ascontiguousarray(x),
+            np.ascontiguousarray(z),
+            max(x.shape[1], z.shape[1]) if most is None else most,
+        )
+        jacobian += bend / self.pixels.scale
+        modes = separate_modes(first, second)
+        known = estimate_of(self.base.places(image_px) + added, jacobian, modes, variance_px2)
         return replace(known, variance_mm2=known.variance_mm2 + rest)
 
 
