@@ -632,6 +632,17 @@ def third_differences(values: Floats, run: Ints, lag: int) -> tuple[Ints, Floats
 
 
 @compiled
+def _sort(values: Floats) -> None:
+    """Sort a few values in place; numba's own takes seconds to compile."""
+    for n in range(1, len(values)):
+        value, place = values[n], n
+        while place > 0 and values[place - 1] > value:
+            values[place] = values[place - 1]
+            place -= 1
+        values[place] = value
+
+
+@compiled
 def running_medians(values: Floats, half: int) -> Floats:
     """(N,) median of each value and so many on either side, as ``peaks.running_median``.
 
@@ -644,7 +655,7 @@ def running_medians(values: Floats, half: int) -> Floats:
     rising, medians = np.empty(size), np.empty(len(values))
     for k in range(size):  # those about the value before the first
         rising[k] = values[min(max(k - half - 1, 0), last)]
-    rising.sort()
+    _sort(rising)
     for n in range(len(values)):
         gone, new = values[max(n - 1 - half, 0)], values[min(n + half, last)]
         place = 0
@@ -707,7 +718,9 @@ def end_doubts(
             for i in range(near, size):
                 inner[i - near] = variance[end + step * i]
             seen = inner[: size - near]
-            middle = np.median(seen) if seen.sum() == seen.sum() else np.nan  # it skips NaN
+            unknown = seen.sum()  # NaN where one of them is
+            _sort(seen)
+            middle = (seen[(len(seen) - 1) // 2] + seen[len(seen) // 2]) / 2 + 0 * unknown
             slope = centre[end + step * (size - 1)] - centre[end + step * near]
             scale = abs(slope / (size - 1 - near)) * middle / sqrt(3)
             before = 0.0
