@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Floats, Ints, Mask
-from lscan.stripe.kernels import compiled, compiled_sums, factorise, solve_factorised
+from lscan.stripe.kernels import compiled, compiled_sums
 
 Grey: TypeAlias = NDArray[np.floating[Any]]
 Single: TypeAlias = NDArray[np.float32]
@@ -77,8 +77,7 @@ def fit_marks(
                 for j in range(i, TERMS):
                     in_x, in_y = _OF_X[i] + _OF_X[j], _OF_Y[i] + _OF_Y[j]
                     left[i, j] = moment[0, in_x] * moment[1, in_y]
-            factorise(left)
-            solve_factorised(left, right)
+            _solve(left, right.reshape(TERMS, 1))
             uu, uv, vv = 2 * right[3], right[4], 2 * right[5]  # times the weights' variance
             trace, determinant = uu + vv, uu * vv - uv * uv
             wanted = -determinant > trace**2 * least
@@ -174,6 +173,31 @@ def _sums(grey: Floats, power: Floats, right: Floats) -> None:
             square += by_square[i] * row[i]
         for n in range(TERMS):
             right[n] += power[1, _OF_Y[n], j] * (one, x, square)[_OF_X[n]]
+
+
+@compiled
+def _solve(left: Floats, right: Floats) -> float:
+    """Solve symmetric, positive equations; the determinant over the product of the diagonal.
+
+    left: (m, m), its upper half, which is spoilt.  right: (m, K), which becomes the solutions.
+    """
+    part = 1.0
+    for i in range(len(left)):
+        part /= left[i, i]
+    for i in range(len(left)):
+        part *= left[i, i]
+        for j in range(i + 1, len(left)):
+            factor = left[i, j] / left[i, i]
+            for c in range(j, len(left)):
+                left[j, c] -= factor * left[i, c]
+            for c in range(right.shape[1]):
+                right[j, c] -= factor * right[i, c]
+    for i in range(len(left) - 1, -1, -1):
+        for c in range(right.shape[1]):
+            for j in range(i + 1, len(left)):
+                right[i, c] -= left[i, j] * right[j, c]
+            right[i, c] /= left[i, i]
+    return part
 
 
 # The walk from mark to mark (search.py).
@@ -343,8 +367,7 @@ def local_polynomials(
     """
     count = len(places)
     left, right = np.zeros((count, TERMS, TERMS)), np.zeros((count, TERMS, 3))
-    solved, free = np.empty((count, TERMS, 3)), np.empty(count)
-    design, column, factors = np.ones(TERMS), np.empty(TERMS), np.empty((TERMS, TERMS))
+    solved, free, design = np.empty((count, TERMS, 3)), np.empty(count), np.ones(TERMS)
     for m in range(count):
         for n in index[m]:
             x = (board[n, 0] - places[m, 0]) / pitch
@@ -356,15 +379,8 @@ def local_polynomials(
                 right[m, i, 0] += design[i] * image[n, 0]
                 right[m, i, 1] += design[i] * image[n, 1]
         right[m, 0, 2] = 1.0
-        factors[:] = left[m]
-        factorise(factors)
-        free[m] = 1.0
-        for i in range(TERMS):
-            free[m] *= factors[i, i] / left[m, i, i]
-        for k in range(3):
-            column[:] = right[m, :, k]
-            solve_factorised(factors, column)
-            solved[m, :, k] = column
+        solved[m] = right[m]
+        free[m] = _solve(left[m].copy(), solved[m])
     return left, right, solved, free
 
 

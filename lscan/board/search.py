@@ -5,7 +5,7 @@ place is searched, and so on until no dot is left.  All dots at the rim of what 
 are searched at once, so a board of thousands of dots takes some tens of rounds.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -38,11 +38,10 @@ NOISE_LIMIT = 6.0  # sigmas above the ground
 ELSEWHERE = 0.1  # of the box: a mark expected less far away would have been seen before
 SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
 NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
-BESIDE = np.array([step * 3 for step in NEXT])  # as kernels.means_of_known takes them
-STEPS_ON = np.array(
-    [(r, c, r, c, 2 * r, 2 * c) for r, c in NEXT]
-    + [(r, 0, 0, c, r, c) for r in (1, -1) for c in (1, -1)]
-)
+STEPS_ON = [  # as kernels.means_of_known takes them
+    *((r, c, r, c, 2 * r, 2 * c) for r, c in NEXT),
+    *((r, 0, 0, c, r, c) for r in (1, -1) for c in (1, -1)),
+]
 
 Seek = Callable[[Floats, Floats, Floats], tuple[Centres, Mask]]
 """From where N marks are expected (N, 2), px, the pitch there (N,), px, and the mean height and
@@ -250,7 +249,7 @@ def expected_places(points: Floats) -> Floats:
     ----------
     points : (R, C, 2) array, px, (u, v) of the nodes known; NaN where none
     """
-    return means_of_known(np.ascontiguousarray(points), STEPS_ON)
+    return _means(points, STEPS_ON)
 
 
 def mean_beside(values: Floats) -> Floats:
@@ -260,8 +259,7 @@ def mean_beside(values: Floats) -> Floats:
     ----------
     values : (R, C, ...) array, NaN where nothing is known
     """
-    several = np.ascontiguousarray(values).reshape(*values.shape[:2], -1)
-    return means_of_known(several, BESIDE).reshape(values.shape)
+    return _means(values, [step * 3 for step in NEXT])
 
 
 def local_pitch(points: Floats) -> Floats:
@@ -271,13 +269,10 @@ def local_pitch(points: Floats) -> Floats:
     ----------
     points : (R, C, 2) array, px, (u, v) of the nodes
     """
-    ways = []
-    for axis, back in ((1, (0, -1)), (0, (-1, 0))):
-        steps = np.full((*points.shape[:2], 1), np.nan)
-        there = np.s_[:, :-1] if axis == 1 else np.s_[:-1]
-        steps[there] = np.linalg.norm(np.diff(points, axis=axis), axis=2, keepdims=True)
-        ways.append(means_of_known(steps, np.array([(0, 0) * 3, back * 3]))[..., 0])
-    across, down = ways
+    across, down = (
+        _means(np.linalg.norm(points - shift_by(points, *step), axis=2), [(0, 0) * 3, back * 3])
+        for step, back in (NEXT[:2], NEXT[2:])
+    )
     both = np.where(np.isnan(down), across, (across + down) / 2)
     return np.where(np.isnan(across), down, both)
 
@@ -290,16 +285,13 @@ def shift_by(array: Floats, rows: int, columns: int) -> Floats:
     array : (R, C, ...) array, of the nodes
     rows, columns : int, how far away
     """
-    found = np.full_like(array, np.nan)  # some thousand calls a board: np.pad takes 8 times as long
-    height, width = array.shape[:2]
-    there = _overlap(rows, height), _overlap(columns, width)
-    found[_overlap(-rows, height), _overlap(-columns, width)] = array[there]
-    return found
+    return _means(array, [(rows, columns) * 3])
 
 
-def _overlap(shift: int, length: int) -> slice:
-    """What is left of an axis once it has been shifted against itself."""
-    return slice(max(shift, 0), max(length + min(shift, 0), 0))
+def _means(values: Floats, guesses: Sequence[tuple[int, ...]]) -> Floats:
+    """``means_of_known`` of values (R, C, ...)."""
+    several = values.reshape(*values.shape[:2], int(np.prod(values.shape[2:])))
+    return means_of_known(np.ascontiguousarray(several), np.array(guesses)).reshape(values.shape)
 
 
 # Round marks of one size anywhere in a picture: where the search may begin.

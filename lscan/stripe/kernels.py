@@ -26,7 +26,7 @@ class _FirstTime(event.Listener):
     def on_start(self, event: event.Event) -> None:
         """Called where something is compiled that no cache has."""
         if not self.said:
-            _log.warning("note: compiles what reads the line: some seconds, once if it can be kept")
+            _log.warning("note: compiles what reads pictures: some seconds, once if it can be kept")
             self.said = True
 
     def on_end(self, event: event.Event) -> None:
