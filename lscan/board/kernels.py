@@ -91,7 +91,8 @@ def fit_marks(
             length = min(whole, wide)
             away[0] += step_u * (length / max(whole, 1e-12))
             away[1] += step_v * (length / max(whole, 1e-12))
-            away[:] = np.minimum(np.maximum(away, -reach[k]), reach[k])
+            for axis in range(2):
+                away[axis] = min(max(away[axis], -reach[k]), reach[k])
         points[k, 0], points[k, 1], height[k] = u + away[0], v + away[1], right[0]
         if not wanted:
             continue
@@ -102,7 +103,8 @@ def fit_marks(
         for axis in range(2):
             power[axis, 0] *= power[axis, 0]
             for n in range(2):
-                power[axis, n + 1] = power[axis, n] * (np.arange(width) - reach[k] - away[axis])
+                for i in range(width):
+                    power[axis, n + 1, i] = power[axis, n, i] * (i - reach[k] - away[axis])
         _sums(grey * grey, power, right)
         spread = (vv * vv + uv * uv) * right[3] + (uu * uu + uv * uv) * right[5]
         spread = max(spread - 2 * uv * trace * right[4], 0.0) / 2
@@ -295,7 +297,8 @@ def crosses(points: Floats, low: float, high: float, most: int, lean: float) -> 
             held = min(held + 1, most)
             place = held - 1
             while place > 0 and squares[place - 1] > square:
-                squares[place], near[place] = squares[place - 1], near[place - 1]
+                squares[place] = squares[place - 1]
+                near[place, 0], near[place, 1] = near[place - 1, 0], near[place - 1, 1]
                 place -= 1
             squares[place], near[place, 0], near[place, 1] = square, u, v
         begin = 0
@@ -379,7 +382,9 @@ def local_polynomials(
                 right[m, i, 0] += design[i] * image[n, 0]
                 right[m, i, 1] += design[i] * image[n, 1]
         right[m, 0, 2] = 1.0
-        solved[m] = right[m]
+        for i in range(TERMS):
+            for j in range(3):
+                solved[m, i, j] = right[m, i, j]
         free[m] = _solve(left[m].copy(), solved[m])
     return left, right, solved, free
 
