@@ -298,9 +298,9 @@ def visible_part(
     light = power * dr.maximum(dr.dot(way, normal), 0) * dr.maximum(-dr.dot(way, outward), 0)
     light = dr.select(distance > close, light / dr.square(dr.square(distance)), 0.0)
     blocked = scene.ray_test(mi.Ray3f(start, way / distance, distance, 0.0, []), light > 0)
-    whole, rest = (
-        dr.block_sum(value, CLUSTERS) for value in (light, dr.select(blocked, 0.0, light))
-    )
+    rest = dr.select(blocked, 0.0, light)
+    dr.eval(light, rest)  # once: each sum would work both out
+    whole, rest = dr.block_sum(light, CLUSTERS), dr.block_sum(rest, CLUSTERS)
     return dr.select(whole > 0, rest / whole, 1.0)
 
 
@@ -349,11 +349,11 @@ def received(
         upright = dr.gather(mi.Vector4f, clusters, 2 * cluster + 1)
         offset = mi.Point3f(place.x, place.y, place.z) - point
         square, light = dr.squared_norm(offset), mi.Float(0)
+        leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
+        facing = dr.maximum(leaving, 0) * dr.maximum(dr.dot(normal, offset), 0)
         if square < dr.square(NEAR * place.w):
             light = _nearby(segments, CLUSTER * cluster, point, normal, extinction)
-        else:
-            leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
-            facing = dr.maximum(leaving, 0) * dr.maximum(dr.dot(normal, offset), 0)
+        elif facing > 0:
             loss = dr.exp(-extinction * dr.sqrt(square))
             light = upright.w * facing / dr.square(square) * loss
         is_close = square < dr.square(CLOSE * place.w)
@@ -377,19 +377,20 @@ def _nearby(
         index = 3 * (first + number)
         place = dr.gather(mi.Vector4f, segments, index)
         upright = dr.gather(mi.Vector4f, segments, index + 1)
-        axis = dr.gather(mi.Vector4f, segments, index + 2)
         offset = mi.Point3f(place.x, place.y, place.z) - point
-        along = mi.Vector3f(axis.x, axis.y, axis.z)
         leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
-        middle, slope = dr.dot(along, offset), dr.dot(normal, along)
-        # No closer than the light lies off the segment: a line without thickness would be
-        # endlessly bright beside it, where facets rise above each other's planes.
-        height2 = dr.squared_norm(offset - middle * along) + dr.square(AROUND * axis.w)
-        fixed = dr.dot(normal, offset) - slope * middle
-        shape = leaving * _segment(middle, place.w, fixed, slope, height2)
-        loss = dr.exp(-extinction * dr.norm(offset))
-        above = leaving > ABOVE_MM
-        light += dr.select(above, upright.w * shape * loss, 0.0)
+        # Few segments light a place: what lies below either's plane costs no more than this.
+        highest = dr.dot(normal, offset) + place.w
+        if (leaving > ABOVE_MM) & (highest > ABOVE_MM):
+            axis = dr.gather(mi.Vector4f, segments, index + 2)
+            along = mi.Vector3f(axis.x, axis.y, axis.z)
+            middle, slope = dr.dot(along, offset), dr.dot(normal, along)
+            # No closer than the light lies off the segment: a line without thickness would be
+            # endlessly bright beside it, where facets rise above each other's planes.
+            height2 = dr.squared_norm(offset - middle * along) + dr.square(AROUND * axis.w)
+            fixed = dr.dot(normal, offset) - slope * middle
+            shape = leaving * _segment(middle, place.w, fixed, slope, height2)
+            light += upright.w * shape * dr.exp(-extinction * dr.norm(offset))
         number += 1
     return light
 

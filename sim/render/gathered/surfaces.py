@@ -500,6 +500,7 @@ def visible_share(
         lit = (weight > 0) & (along < ends)
         hidden = scene.ray_test(mi.Ray3f(start, towards, distance, 0.0, []), lit)
         seen += dr.select(lit & ~hidden, weight, 0.0)
+    dr.eval(total, seen)  # once: each sum would work both out
     total, seen = dr.block_sum(total, RAYS), dr.block_sum(seen, RAYS)
     return dr.select(total > 0, seen / total, 1.0)
 

@@ -184,10 +184,9 @@ class HaloPaths:
         share *= dr.exp(-extinction * (along + length)) / dr.hypot(beside, foot * self._radius)
         free = (power * share > 0) & (along < end)
         hidden = scene.ray_test(mi.Ray3f(point, leg, length, 0.0, []), free)
-        left = dr.block_sum(dr.select(free & ~hidden, power * share, 0.0), PARTS)
-        whole = dr.block_sum(seen * share, PARTS)
-        dr.eval(left, whole)
-        return left, whole
+        left, whole = dr.select(free & ~hidden, power * share, 0.0), seen * share
+        dr.eval(left, whole)  # once: each sum would work both out
+        return dr.block_sum(left, PARTS), dr.block_sum(whole, PARTS)
 
 
 def _fan(sheet: LaserSheet) -> FanRays:
