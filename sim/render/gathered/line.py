@@ -320,7 +320,6 @@ def _cluster(
     return mi.Point3f(place.x, place.y, place.z), outward, power, CLOSE * half
 
 
-@dr.syntax
 def received(
     line: LitLine, point: mi.Point3f, normal: mi.Vector3f, extinction: mi.Float, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
@@ -342,28 +341,41 @@ def received(
     extinction : Float, 1/mm, of the way between
     active : Bool, the places that the line may light
     """
-    close, far, cluster = mi.Float(0), mi.Float(0), mi.UInt32(0)
     clusters, segments = line.clusters, line.segments
-    while active & (cluster < CLUSTERS):
+
+    # What a loop does not change is no state of it: to find that out takes tracing it twice.
+    def add_cluster(
+        close: mi.Float, far: mi.Float, cluster: mi.UInt32
+    ) -> tuple[mi.Float, mi.Float, mi.UInt32]:
         place = dr.gather(mi.Vector4f, clusters, 2 * cluster)
         upright = dr.gather(mi.Vector4f, clusters, 2 * cluster + 1)
         offset = mi.Point3f(place.x, place.y, place.z) - point
-        square, light = dr.squared_norm(offset), mi.Float(0)
+        square = dr.squared_norm(offset)
         leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
         facing = dr.maximum(leaving, 0) * dr.maximum(dr.dot(normal, offset), 0)
-        if square < dr.square(NEAR * place.w):
-            light = _nearby(segments, CLUSTER * cluster, point, normal, extinction)
-        elif facing > 0:
+
+        def from_afar() -> mi.Float:
             loss = dr.exp(-extinction * dr.sqrt(square))
-            light = upright.w * facing / dr.square(square) * loss
+            return upright.w * facing / dr.square(square) * loss
+
+        light = dr.if_stmt(
+            (),
+            square < dr.square(NEAR * place.w),
+            lambda: _nearby(segments, CLUSTER * cluster, point, normal, extinction),
+            lambda: dr.if_stmt((), facing > 0, from_afar, lambda: mi.Float(0)),
+        )
         is_close = square < dr.square(CLOSE * place.w)
-        close += dr.select(is_close, light, 0.0)
-        far += dr.select(is_close, 0.0, light)
-        cluster += 1
+        close = close + dr.select(is_close, light, 0.0)
+        return close, far + dr.select(is_close, 0.0, light), cluster + 1
+
+    close, far, _ = dr.while_loop(
+        (mi.Float(0), mi.Float(0), mi.UInt32(0)),
+        lambda close, far, cluster: active & (cluster < CLUSTERS),
+        add_cluster,
+    )
     return close * dr.inv_pi, far * dr.inv_pi
 
 
-@dr.syntax
 def _nearby(
     segments: mi.Float,
     first: mi.UInt32,
@@ -372,16 +384,15 @@ def _nearby(
     extinction: mi.Float,
 ) -> mi.Float:
     """By the segments of a cluster, the first of which is given, times pi."""
-    light, number = mi.Float(0), mi.UInt32(0)
-    while number < CLUSTER:
+
+    def add_segment(light: mi.Float, number: mi.UInt32) -> tuple[mi.Float, mi.UInt32]:
         index = 3 * (first + number)
         place = dr.gather(mi.Vector4f, segments, index)
         upright = dr.gather(mi.Vector4f, segments, index + 1)
         offset = mi.Point3f(place.x, place.y, place.z) - point
         leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
-        # Few segments light a place: what lies below either's plane costs no more than this.
-        highest = dr.dot(normal, offset) + place.w
-        if (leaving > ABOVE_MM) & (highest > ABOVE_MM):
+
+        def shining() -> mi.Float:
             axis = dr.gather(mi.Vector4f, segments, index + 2)
             along = mi.Vector3f(axis.x, axis.y, axis.z)
             middle, slope = dr.dot(along, offset), dr.dot(normal, along)
@@ -390,8 +401,16 @@ def _nearby(
             height2 = dr.squared_norm(offset - middle * along) + dr.square(AROUND * axis.w)
             fixed = dr.dot(normal, offset) - slope * middle
             shape = leaving * _segment(middle, place.w, fixed, slope, height2)
-            light += upright.w * shape * dr.exp(-extinction * dr.norm(offset))
-        number += 1
+            return upright.w * shape * dr.exp(-extinction * dr.norm(offset))
+
+        # Few segments light a place: what lies below either's plane costs no more than this.
+        highest = dr.dot(normal, offset) + place.w
+        is_lit = (leaving > ABOVE_MM) & (highest > ABOVE_MM)
+        return light + dr.if_stmt((), is_lit, shining, lambda: mi.Float(0)), number + 1
+
+    light, _ = dr.while_loop(
+        (mi.Float(0), mi.UInt32(0)), lambda _, number: number < CLUSTER, add_segment
+    )
     return light
 
 
