@@ -267,13 +267,13 @@ class GatheredLight:
         traced = ray, self._scene.ray_intersect_preliminary(ray)
         # All at once: such a kernel takes as long to be put together as to run.
         ray, hit = _joined(known, traced)
-        even, near, *of_cells, within = self._seen_along(ray, hit, head, lit).split(*counts)
+        even, near, *of_cells, down = self._seen_along(ray, hit, head, lit).split(*counts)
         picture = _upsample(even.radiance.reshape(coarse.shape), *self._inner.shape)
         picture.ravel()[exact] = near.radiance
         first = np.cumsum(samples) - samples
-        picture.ravel()[fine] = np.add.reduceat(within.radiance, first) / samples
+        picture.ravel()[fine] = np.add.reduceat(down.radiance, first) / samples
         tilt = np.zeros((*self._inner.shape, 2), np.float32)
-        tangents = self._chart.tilt(within.normal, finer.T)
+        tangents = self._chart.tilt(down.normal, finer.T)
         tilt.reshape(-1, 2)[fine] = np.add.reduceat(tangents, first) / samples[:, np.newaxis]
         glows = [self._trace_cells(*each) for each in zip(cells, of_cells, strict=True)]
         self._put_view(glows[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
@@ -401,18 +401,16 @@ class GatheredLight:
 
 def _joined(*sides: _Traced) -> _Traced:
     """Rays and what they meet, those of one side behind those of another."""
-    dr.eval(sides)
-    whole = mi.Ray3f(), mi.PreliminaryIntersection3f()
-    names = ("o", "d"), whole[1].DRJIT_STRUCT
-    for joined, parts, fields in zip(whole, zip(*sides, strict=True), names, strict=True):
-        for name in fields:
-            each = [getattr(part, name) for part in parts]
-            kind = type(each[0])
-            is_flat = dr.depth_v(kind) == 1
-            columns = zip(*each, strict=True)
-            value = dr.concat(each) if is_flat else kind(*map(dr.concat, columns))
-            setattr(joined, name, value)
-    return whole
+    counts = [dr.width(hit) for _, hit in sides]
+    kinds = mi.Point3f, mi.Vector3f, mi.PreliminaryIntersection3f
+    start, way, met = (dr.zeros(kind, sum(counts)) for kind in kinds)
+    for (ray, hit), count, end in zip(sides, counts, np.cumsum(counts), strict=True):
+        # As a constant the first place would have each picture's kernel compiled anew.
+        place = dr.opaque(mi.UInt32, int(end) - count) + dr.arange(mi.UInt32, count)
+        for whole, part in ((start, ray.o), (way, ray.d), (met, hit)):
+            dr.scatter(whole, part, place)
+    dr.eval(start, way, met)
+    return mi.Ray3f(start, way), met
 
 
 def _mean_normal(scene: mi.Scene, rays: HeadRays, places: Sequence[Pose]) -> Floats | None:

@@ -263,12 +263,13 @@ class VeilPaths:
             free &= ~scene.ray_test(mi.Ray3f(here, leg / length, length, 0.0, []), free & ~near)
         sums = []
         for counts in (free, plane):
-            light = dr.zeros(mi.Float, ROWS * COLUMNS)
-            dr.scatter_reduce(dr.ReduceOp.Add, light, self._share, self._cell, counts)
+            # Exact enough that the order of the threads does not show.
+            light, share = dr.zeros(mi.Float64, ROWS * COLUMNS), mi.Float64(self._share)
+            dr.scatter_reduce(dr.ReduceOp.Add, light, share, self._cell, counts)
             sums.append(light)
         dr.eval(sums)
         left, whole = (
-            cv2.GaussianBlur(np.array(light).reshape(ROWS, COLUMNS), (0, 0), SMOOTH)
+            cv2.GaussianBlur(np.array(light, np.float32).reshape(ROWS, COLUMNS), (0, 0), SMOOTH)
             for light in sums
         )
         # One path is added to both, where hardly any is.
