@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lscan.records import Floats, Ints, Mask
-from sim.render.layers import binned
+from sim.render.layers import binned, pixel_parts
 from sim.render.plugins.arrays import floats, indices, opaque_vector
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.sheet import LaserSheet
@@ -463,7 +463,7 @@ class SparseLaserLight:
         seen = survey(self._scene, self.rays, head, reaches)
         if self.rays.defocus is not None and seen.uneven.size and not sharp:
             seen = replace(seen, uneven=self._spread(seen, self.rays.defocus))
-        layers = direct, seen.veil.repeat(fineness, axis=0).repeat(fineness, axis=1)
+        layers = direct, pixel_parts(seen.veil, fineness)
         if seen.uneven.size:
             side = isqrt(samples)
             dark = self._put_samples(layers, seen.uneven, side, sharp)
@@ -579,9 +579,8 @@ def ambient_picture(
         far = np.array(distance).reshape(edges.shape)[edges > 0]
         edges = _grown(edges, rays.defocus.radius_px(far[far < FARTHEST_MM]))
     uneven = np.flatnonzero(cv2.dilate(edges, NEIGHBOURS)[inner])
-    picture, fineness = np.ascontiguousarray(wide[inner]), camera.fineness
-    height, width = picture.shape
-    picture = picture.repeat(fineness, axis=0).repeat(fineness, axis=1)
+    fineness, (height, width) = camera.fineness, wide[inner].shape
+    picture = pixel_parts(np.ascontiguousarray(wide[inner]), fineness)
     if uneven.size:
         row, column = np.divmod(uneven, width)
         parts = picture.reshape(height, fineness, width, fineness)

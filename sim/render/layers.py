@@ -83,6 +83,19 @@ def binned(fine: Picture, fineness: int) -> Picture:
     return np.asarray(means, dtype=np.float32)
 
 
+def pixel_parts(picture: Picture, fineness: int) -> Picture:
+    """A copy of a picture, (f H, f W), each pixel's parts as the pixel.
+
+    Parameters
+    ----------
+    picture : (H, W) array
+    fineness : int, parts a side of each pixel, f
+    """
+    if fineness == 1:
+        return picture.copy()
+    return picture.repeat(fineness, axis=0).repeat(fineness, axis=1)
+
+
 # The layers of light that reach the lens, as the tank renders them.
 
 

@@ -17,7 +17,7 @@ from sim.render.ambient import AmbientField, OpenSky, sky_of
 from sim.render.backend import flushing
 from sim.render.firstorder import SparseLaserLight, ambient_picture, film_rays, reason_for_samples
 from sim.render.gathered.picture import GatheredLight, reason_for_random
-from sim.render.layers import W_PER_M2_IN_MW_PER_MM2, Layers, Radiance, finer_lens
+from sim.render.layers import W_PER_M2_IN_MW_PER_MM2, Layers, Radiance, finer_lens, pixel_parts
 from sim.render.materials import mitsuba_shape
 from sim.render.plugins.camera import RefractiveCamera
 from sim.render.plugins.sheet import LaserSheet
@@ -314,7 +314,7 @@ class Tank:
                     sharp = self._sparse.picture(head, samples, sharp=True)
                 families = self._gathered.families(there, position_mm, sharp.direct, sharp.seen)
                 more = sum(families.values(), np.zeros((), np.float32))
-                scattered = scattered + more.repeat(fineness, axis=0).repeat(fineness, axis=1)
+                scattered = scattered + pixel_parts(more, fineness)
         else:
             width, height = self.scene.rig.camera.size_px
             direct = scattered = np.zeros((fineness * height, fineness * width), np.float32)

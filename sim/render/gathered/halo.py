@@ -447,9 +447,10 @@ class CameraLeg:
         self._near, self._near_tilted = self._near_weights(weights, nearer)
         # Narrow Gaussians go with about one power of a pixel's size.
         mean = np.average(kernel.steepness[: self._first], weights=self._near.mean(axis=0))
-        self._power = np.float32(2 + mean)
-        self._near *= self._pixel_rad**-self._power
-        self._gain_scale = floats(chart.pixel_rad**self._power)
+        power = np.float32(2 + mean)
+        self._near *= self._pixel_rad**-power
+        self._scale = chart.pixel_rad**power
+        self._gain_scale = floats(self._scale)
         gains = self._near.sum(axis=1, keepdims=True).astype(np.float32)
         self._gains = mi.Texture1f(mi.TensorXf(gains), use_accel=False)
         self._grids = list(self._level_grids())
@@ -533,7 +534,7 @@ class CameraLeg:
         place = RANGE_AXIS.place(np.clip(distance[band], RANGE_AXIS.low, RANGE_AXIS.high))
         low = np.minimum(place.astype(np.intp), RANGE_AXIS.count - 2)
         part = (place - low).astype(np.float32)
-        scaled = radiance[band] * self._chart.pixel_rad[band] ** self._power
+        scaled = radiance[band] * self._scale[band]
         moved = _divergence(scaled[..., np.newaxis] * tilt[band])
         for level in range(int(np.searchsorted(sigmas, POINT)), self._first):
             sigma, gain = sigmas[level], self._near[:, level].astype(np.float32)

@@ -298,9 +298,9 @@ def visible_part(
     light = power * dr.maximum(dr.dot(way, normal), 0) * dr.maximum(-dr.dot(way, outward), 0)
     light = dr.select(distance > close, light / dr.square(dr.square(distance)), 0.0)
     blocked = scene.ray_test(mi.Ray3f(start, way / distance, distance, 0.0, []), light > 0)
-    whole, rest = (
-        dr.block_sum(value, CLUSTERS) for value in (light, dr.select(blocked, 0.0, light))
-    )
+    rest = dr.select(blocked, 0.0, light)
+    dr.eval(light, rest)  # once: each sum would work both out
+    whole, rest = dr.block_sum(light, CLUSTERS), dr.block_sum(rest, CLUSTERS)
     return dr.select(whole > 0, rest / whole, 1.0)
 
 
@@ -320,7 +320,6 @@ def _cluster(
     return mi.Point3f(place.x, place.y, place.z), outward, power, CLOSE * half
 
 
-@dr.syntax
 def received(
     line: LitLine, point: mi.Point3f, normal: mi.Vector3f, extinction: mi.Float, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
@@ -342,28 +341,41 @@ def received(
     extinction : Float, 1/mm, of the way between
     active : Bool, the places that the line may light
     """
-    close, far, cluster = mi.Float(0), mi.Float(0), mi.UInt32(0)
     clusters, segments = line.clusters, line.segments
-    while active & (cluster < CLUSTERS):
+
+    # What a loop does not change is no state of it: to find that out takes tracing it twice.
+    def add_cluster(
+        close: mi.Float, far: mi.Float, cluster: mi.UInt32
+    ) -> tuple[mi.Float, mi.Float, mi.UInt32]:
         place = dr.gather(mi.Vector4f, clusters, 2 * cluster)
         upright = dr.gather(mi.Vector4f, clusters, 2 * cluster + 1)
         offset = mi.Point3f(place.x, place.y, place.z) - point
-        square, light = dr.squared_norm(offset), mi.Float(0)
-        if square < dr.square(NEAR * place.w):
-            light = _nearby(segments, CLUSTER * cluster, point, normal, extinction)
-        else:
-            leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
-            facing = dr.maximum(leaving, 0) * dr.maximum(dr.dot(normal, offset), 0)
+        square = dr.squared_norm(offset)
+        leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
+        facing = dr.maximum(leaving, 0) * dr.maximum(dr.dot(normal, offset), 0)
+
+        def from_afar() -> mi.Float:
             loss = dr.exp(-extinction * dr.sqrt(square))
-            light = upright.w * facing / dr.square(square) * loss
+            return upright.w * facing / dr.square(square) * loss
+
+        light = dr.if_stmt(
+            (),
+            square < dr.square(NEAR * place.w),
+            lambda: _nearby(segments, CLUSTER * cluster, point, normal, extinction),
+            lambda: dr.if_stmt((), facing > 0, from_afar, lambda: mi.Float(0)),
+        )
         is_close = square < dr.square(CLOSE * place.w)
-        close += dr.select(is_close, light, 0.0)
-        far += dr.select(is_close, 0.0, light)
-        cluster += 1
+        close = close + dr.select(is_close, light, 0.0)
+        return close, far + dr.select(is_close, 0.0, light), cluster + 1
+
+    close, far, _ = dr.while_loop(
+        (mi.Float(0), mi.Float(0), mi.UInt32(0)),
+        lambda close, far, cluster: active & (cluster < CLUSTERS),
+        add_cluster,
+    )
     return close * dr.inv_pi, far * dr.inv_pi
 
 
-@dr.syntax
 def _nearby(
     segments: mi.Float,
     first: mi.UInt32,
@@ -372,25 +384,33 @@ def _nearby(
     extinction: mi.Float,
 ) -> mi.Float:
     """By the segments of a cluster, the first of which is given, times pi."""
-    light, number = mi.Float(0), mi.UInt32(0)
-    while number < CLUSTER:
+
+    def add_segment(light: mi.Float, number: mi.UInt32) -> tuple[mi.Float, mi.UInt32]:
         index = 3 * (first + number)
         place = dr.gather(mi.Vector4f, segments, index)
         upright = dr.gather(mi.Vector4f, segments, index + 1)
-        axis = dr.gather(mi.Vector4f, segments, index + 2)
         offset = mi.Point3f(place.x, place.y, place.z) - point
-        along = mi.Vector3f(axis.x, axis.y, axis.z)
         leaving = -dr.dot(mi.Vector3f(upright.x, upright.y, upright.z), offset)
-        middle, slope = dr.dot(along, offset), dr.dot(normal, along)
-        # No closer than the light lies off the segment: a line without thickness would be
-        # endlessly bright beside it, where facets rise above each other's planes.
-        height2 = dr.squared_norm(offset - middle * along) + dr.square(AROUND * axis.w)
-        fixed = dr.dot(normal, offset) - slope * middle
-        shape = leaving * _segment(middle, place.w, fixed, slope, height2)
-        loss = dr.exp(-extinction * dr.norm(offset))
-        above = leaving > ABOVE_MM
-        light += dr.select(above, upright.w * shape * loss, 0.0)
-        number += 1
+
+        def shining() -> mi.Float:
+            axis = dr.gather(mi.Vector4f, segments, index + 2)
+            along = mi.Vector3f(axis.x, axis.y, axis.z)
+            middle, slope = dr.dot(along, offset), dr.dot(normal, along)
+            # No closer than the light lies off the segment: a line without thickness would be
+            # endlessly bright beside it, where facets rise above each other's planes.
+            height2 = dr.squared_norm(offset - middle * along) + dr.square(AROUND * axis.w)
+            fixed = dr.dot(normal, offset) - slope * middle
+            shape = leaving * _segment(middle, place.w, fixed, slope, height2)
+            return upright.w * shape * dr.exp(-extinction * dr.norm(offset))
+
+        # Few segments light a place: what lies below either's plane costs no more than this.
+        highest = dr.dot(normal, offset) + place.w
+        is_lit = (leaving > ABOVE_MM) & (highest > ABOVE_MM)
+        return light + dr.if_stmt((), is_lit, shining, lambda: mi.Float(0)), number + 1
+
+    light, _ = dr.while_loop(
+        (mi.Float(0), mi.UInt32(0)), lambda _, number: number < CLUSTER, add_segment
+    )
     return light
 
 

@@ -49,6 +49,9 @@ NEAREST_MM, FARTHEST_MM = 1.0, 1e4  # of what a ray meets; where one ends that m
 LEFT_APART_MM = 5.0  # along the track, between places at which it is known what surfaces leave
 
 
+_Traced = tuple[mi.Ray3f, mi.PreliminaryIntersection3f]
+
+
 @dataclass(frozen=True)
 class Seen:
     """What N rays meet.
@@ -177,7 +180,7 @@ class GatheredLight:
         self._places = mi.Point2f((x + 0.5) / columns, (y + 0.5) / rows)
         dr.eval(self._weight, self._places, self._index)
         self._camera_weight = np.array(self._weight).reshape(self._inner.shape)
-        self._pixel_rays = np.array(rays.origin), np.array(rays.direction)
+        self._pixel_rays = np.vstack([np.array(rays.origin), np.array(rays.direction)]).T.copy()
 
     def families(
         self, head: Pose, position_mm: float, direct: Picture, seen: PixelSurvey
@@ -255,25 +258,24 @@ class GatheredLight:
             for grid, outside, line in zip(self._grids, self._outside, lines, strict=True)
         ]
         lit = self._reflections.lit()
+        within = self._within(self._inner.ravel()[fine], samples)
+        finer, directions = within[:, 3:], [each.directions for each in cells]
+        counts = coarse.size, exact.size, *(way.shape[1] for way in directions), len(finer)
         rays, place = self._rays.some(index)
-        hit = dr.gather(mi.PreliminaryIntersection3f, seen.hit, place)
-        even, near = self._seen_along(rays.seen_from(head), hit, head, lit).split(
-            coarse.size, exact.size
-        )
-        start, finer = self._within(self._inner.ravel()[fine], samples)
-        directions = [*(each.directions for each in cells), finer]
-        ray = self._world_rays(head, np.hstack(directions), start)
-        hit = self._scene.ray_intersect_preliminary(ray, coherent=True)
-        counts = [way.shape[1] for way in directions]
-        *traced, within = self._seen_along(ray, hit, head, lit).split(*counts)
+        known = rays.seen_from(head), dr.gather(mi.PreliminaryIntersection3f, seen.hit, place)
+        ray = self._world_rays(head, np.hstack(directions), within)
+        traced = ray, self._scene.ray_intersect_preliminary(ray)
+        # All at once: such a kernel takes as long to be put together as to run.
+        ray, hit = _joined(known, traced)
+        even, near, *of_cells, down = self._seen_along(ray, hit, head, lit).split(*counts)
         picture = _upsample(even.radiance.reshape(coarse.shape), *self._inner.shape)
         picture.ravel()[exact] = near.radiance
         first = np.cumsum(samples) - samples
-        picture.ravel()[fine] = np.add.reduceat(within.radiance, first) / samples
+        picture.ravel()[fine] = np.add.reduceat(down.radiance, first) / samples
         tilt = np.zeros((*self._inner.shape, 2), np.float32)
-        tangents = self._chart.tilt(within.normal, finer.astype(np.float32))
+        tangents = self._chart.tilt(down.normal, finer.T)
         tilt.reshape(-1, 2)[fine] = np.add.reduceat(tangents, first) / samples[:, np.newaxis]
-        glows = [self._trace_cells(*each) for each in zip(cells, traced, strict=True)]
+        glows = [self._trace_cells(*each) for each in zip(cells, of_cells, strict=True)]
         self._put_view(glows[0], picture, even.normal.reshape(*coarse.shape, 3), seen)
         shining = [
             line + summed_in_cells(glow.power * grid.solid_angle, glow.distance, glow.normal)
@@ -330,30 +332,29 @@ class GatheredLight:
         near.ravel()[fine] = False
         return np.flatnonzero(near)
 
-    def _within(self, pixels: Ints, counts: Ints) -> tuple[Floats, Floats]:
-        """(3, N) starts and directions of so many rays in pixels, linear between neighbours'."""
+    def _within(self, pixels: Ints, counts: Ints) -> Picture:
+        """(N, 6) starts and directions of so many rays in pixels, linear between neighbours'."""
         own, each = np.repeat(pixels, counts), np.repeat(counts, counts)
         number = np.arange(own.size) - np.repeat(np.cumsum(counts) - counts, counts) + 0.5
         offsets = number / each - 0.5, GOLDEN * number % 1 - 0.5  # down, and to the right
-        starts, ways = (v[:, own] for v in self._pixel_rays)
+        here = self._pixel_rays[own]
+        rays = here.copy()
         for offset, step in zip(offsets, (self._rays.size_px[0], 1), strict=True):
             other, share = own + np.where(offset < 0, -step, step), np.abs(np.float32(offset))
-            starts += (self._pixel_rays[0][:, other] - self._pixel_rays[0][:, own]) * share
-            ways += (self._pixel_rays[1][:, other] - self._pixel_rays[1][:, own]) * share
-        return starts, ways / np.linalg.norm(ways, axis=0)
+            rays += (self._pixel_rays[other] - here) * share[:, np.newaxis]
+        rays[:, 3:] /= np.linalg.norm(rays[:, 3:], axis=1, keepdims=True)
+        return rays
 
-    def _world_rays(self, head: Pose, directions: Floats, last: Floats) -> mi.Ray3f:
-        """Rays in the world, from the chart's middle but for the last ones, whose starts are given.
+    def _world_rays(self, head: Pose, directions: Floats, others: Picture) -> mi.Ray3f:
+        """Rays in the world from the chart's middle, and others, all given in the head's frame.
 
-        All in the head's frame.
+        directions: (3, N).  others: (M, 6) starts and directions.
         """
-        frame, chart = HeadFrame(head), directions.shape[1] - last.shape[1]
-        middle = np.repeat(self._chart.inner.pivot[:, np.newaxis], chart, axis=1)
-        start, way = (
-            mi.Point3f(vectors(np.hstack([middle, last]))),
-            mi.Vector3f(vectors(directions)),
-        )
-        return mi.Ray3f(frame.point(start), frame.direction(way))
+        frame = HeadFrame(head)
+        middle = np.repeat(self._chart.inner.pivot[:, np.newaxis], directions.shape[1], axis=1)
+        start, way = np.hstack([np.vstack([middle, directions]), others.T]).reshape(2, 3, -1)
+        point = frame.point(mi.Point3f(vectors(start)))
+        return mi.Ray3f(point, frame.direction(mi.Vector3f(vectors(way))))
 
     def _seen_along(
         self, ray: mi.Ray3f, hit: mi.PreliminaryIntersection3f, head: Pose, lit: LitSurfaces
@@ -396,6 +397,20 @@ class GatheredLight:
         point, normal, power = (np.array(v, dtype=float) for v in (line.point, line.normal, power))
         point -= head.origin_mm[:, np.newaxis]
         return head.rotation.T @ point, head.rotation.T @ normal, power
+
+
+def _joined(*sides: _Traced) -> _Traced:
+    """Rays and what they meet, those of one side behind those of another."""
+    counts = [dr.width(hit) for _, hit in sides]
+    kinds = mi.Point3f, mi.Vector3f, mi.PreliminaryIntersection3f
+    start, way, met = (dr.zeros(kind, sum(counts)) for kind in kinds)
+    for (ray, hit), count, end in zip(sides, counts, np.cumsum(counts), strict=True):
+        # As a constant the first place would have each picture's kernel compiled anew.
+        place = dr.opaque(mi.UInt32, int(end) - count) + dr.arange(mi.UInt32, count)
+        for whole, part in ((start, ray.o), (way, ray.d), (met, hit)):
+            dr.scatter(whole, part, place)
+    dr.eval(start, way, met)
+    return mi.Ray3f(start, way), met
 
 
 def _mean_normal(scene: mi.Scene, rays: HeadRays, places: Sequence[Pose]) -> Floats | None:

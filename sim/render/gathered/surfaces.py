@@ -173,7 +173,8 @@ class Bounces:
         for first in range(0, len(values), 4):
             some = values[first : first + 4]
             kind = _kind(len(some))
-            columns = np.zeros((len(self._more), 1 if kind is mi.Float else 4), np.float32)
+            room = 1 if kind is mi.Float else dr.size_v(kind)
+            columns = np.zeros((len(self._more), room), np.float32)
             columns[:, : len(some)] = np.stack(some, axis=-1)
             patches, total = floats(columns), kind(0)
             for near, share in zip(self._near, self._shares, strict=True):
@@ -209,9 +210,9 @@ class PatchField:
         return [dr.maximum(number, 0) for number in numbers[: self.count]]
 
 
-def _kind(left: int) -> type[mi.Float] | type[mi.Vector4f]:
-    """What a group holds of so many numbers that are left: to gather one alone takes less."""
-    return mi.Float if left == 1 else mi.Vector4f
+def _kind(left: int) -> type[mi.Float] | type[mi.Vector2f] | type[mi.Vector4f]:
+    """What a group holds of so many numbers that are left: to gather few takes less."""
+    return {1: mi.Float, 2: mi.Vector2f}.get(left, mi.Vector4f)
 
 
 def _name(parts: Sequence[MeshPart], water: Optics) -> str:
@@ -500,6 +501,7 @@ def visible_share(
         lit = (weight > 0) & (along < ends)
         hidden = scene.ray_test(mi.Ray3f(start, towards, distance, 0.0, []), lit)
         seen += dr.select(lit & ~hidden, weight, 0.0)
+    dr.eval(total, seen)  # once: each sum would work both out
     total, seen = dr.block_sum(total, RAYS), dr.block_sum(seen, RAYS)
     return dr.select(total > 0, seen / total, 1.0)
 

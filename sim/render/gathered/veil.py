@@ -184,10 +184,9 @@ class HaloPaths:
         share *= dr.exp(-extinction * (along + length)) / dr.hypot(beside, foot * self._radius)
         free = (power * share > 0) & (along < end)
         hidden = scene.ray_test(mi.Ray3f(point, leg, length, 0.0, []), free)
-        left = dr.block_sum(dr.select(free & ~hidden, power * share, 0.0), PARTS)
-        whole = dr.block_sum(seen * share, PARTS)
-        dr.eval(left, whole)
-        return left, whole
+        left, whole = dr.select(free & ~hidden, power * share, 0.0), seen * share
+        dr.eval(left, whole)  # once: each sum would work both out
+        return dr.block_sum(left, PARTS), dr.block_sum(whole, PARTS)
 
 
 def _fan(sheet: LaserSheet) -> FanRays:
@@ -264,12 +263,13 @@ class VeilPaths:
             free &= ~scene.ray_test(mi.Ray3f(here, leg / length, length, 0.0, []), free & ~near)
         sums = []
         for counts in (free, plane):
-            light = dr.zeros(mi.Float, ROWS * COLUMNS)
-            dr.scatter_reduce(dr.ReduceOp.Add, light, self._share, self._cell, counts)
+            # Exact enough that the order of the threads does not show.
+            light, share = dr.zeros(mi.Float64, ROWS * COLUMNS), mi.Float64(self._share)
+            dr.scatter_reduce(dr.ReduceOp.Add, light, share, self._cell, counts)
             sums.append(light)
         dr.eval(sums)
         left, whole = (
-            cv2.GaussianBlur(np.array(light).reshape(ROWS, COLUMNS), (0, 0), SMOOTH)
+            cv2.GaussianBlur(np.array(light, np.float32).reshape(ROWS, COLUMNS), (0, 0), SMOOTH)
             for light in sums
         )
         # One path is added to both, where hardly any is.

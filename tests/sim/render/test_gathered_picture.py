@@ -95,10 +95,10 @@ def test_samples_of_a_pixel_lie_within_it_and_even_out(groove: Tank) -> None:
     assert gathered is not None
     width = gathered._rays.size_px[0]
     pixel = np.array([width * 20 + 30])
-    _, ways = gathered._pixel_rays
+    ways = gathered._pixel_rays[:, 3:].T
     right, down = (ways[:, pixel + step] - ways[:, pixel] for step in (1, width))
     for count in (EDGE_SAMPLES, 13):
-        _, found = gathered._within(pixel, np.array([count]))
+        found = gathered._within(pixel, np.array([count]))[:, 3:].T
         offsets = np.linalg.lstsq(np.hstack([right, down]), found - ways[:, pixel], rcond=None)[0]
         assert np.all(np.abs(offsets) < 0.502)
         assert np.all(np.abs(offsets.mean(axis=1)) < 1 / count)
