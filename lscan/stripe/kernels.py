@@ -908,7 +908,7 @@ def _count_up_to(values: GreyValues, limit: int) -> int:
     count = np.int32(0)  # a short one, so that many pixels are compared at a time
     for p in range(len(values)):
         count += np.int32(values[p] <= limit)
-    return count
+    return int(count)
 
 
 @compiled_order

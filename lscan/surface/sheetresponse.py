@@ -86,9 +86,8 @@ def responses(
     sight : Sight, of those points
     """
     rows = OFFSETS * (sigma_mm / row_mm)
-    slope_x = np.zeros(height_mm.shape)
-    if height_mm.shape[1] > 1:
-        slope_x = np.gradient(height_mm, column_mm, axis=1)
+    sloped = height_mm.shape[1] > 1
+    slope_x = np.gradient(height_mm, column_mm, axis=1) if sloped else np.zeros_like(height_mm)
     # Heights between rows are those of cubic splines; beyond the ends the last height goes on.
     spline = spline_filter1d(height_mm, axis=0, mode="nearest")
     beyond = int(np.ceil(np.abs(rows).max())) + 2
@@ -97,8 +96,10 @@ def responses(
     pieces = np.stack(
         [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]
     )
-    sight_of = (sight.tau, sight.kappa, *sight.to_apex)
-    return _responses(padded, first + beyond - 1, pieces.T / 6, slope_x, *sight_of, sigma_mm)
+    places, (apex_x, apex_z) = first + beyond - 1, sight.to_apex
+    return _responses(
+        padded, places, pieces.T / 6, slope_x, sight.tau, sight.kappa, apex_x, apex_z, sigma_mm
+    )
 
 
 @compiled_sums

@@ -9,6 +9,7 @@ pixel to first order.  None of the instrument's code is used.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -21,6 +22,7 @@ from lscan.calibration.calibrate import calibrate
 from lscan.calibration.metric.solve import calibrate_metric
 from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.calibration.physical import PhysicalMap
+from lscan.camera.posedboards import CENTRE_WIDTHS
 from lscan.config.board import Board
 from lscan.config.rig import OpticsSection
 from lscan.records import BoardReading, Bytes, Floats, Marks, RulerReading
@@ -184,14 +186,19 @@ def _covered(inside_px: Floats, blur_px: float) -> Floats:
 
 
 NOISE_PX = 0.03  # of marks and of points of the line, as the renders of the board have it
-LENS, PORT = ("focal_px",), ("gap_mm", "thickness_mm", "glass_index")
+LENS = ("focal_px", "p1", "p2")
+PORT = ("gap_mm", "thickness_mm", "glass_index", "tilt_x_deg", "tilt_y_deg")
 LEAST_GAP_MM = 1.0
 LINE_POINTS = 80
 REACH_MM = 60.0  # of the line on a board, to either side of its foot
 
 
 def drawn_rig(scene: Scene, generator: np.random.Generator) -> Scene:
-    """The scene with lens and port drawn from what its ``[optics]`` says of them."""
+    """The scene with lens and port drawn from what its ``[optics]`` says of them.
+
+    So is what it does not say and a calibration assumes: how far the lens is decentred and the
+    glass tilted.  The truth of a quantity that is uncertain must err as it is said to.
+    """
     optics = scene.rig.optics
 
     def drawn(name: str) -> float:
@@ -200,7 +207,11 @@ def drawn_rig(scene: Scene, generator: np.random.Generator) -> Scene:
 
     port = {name: drawn(name) for name in PORT}
     port["gap_mm"] = max(port["gap_mm"], LEAST_GAP_MM)
-    return scene.with_tank(lens={name: drawn(name) for name in LENS}, port=port)
+    lens: dict[str, Any] = {name: drawn(name) for name in LENS}
+    width, height = scene.rig.camera.size_px
+    middle = np.array([width - 1, height - 1]) / 2
+    lens["centre_px"] = generator.normal(middle, CENTRE_WIDTHS * width).tolist()
+    return scene.with_tank(lens=lens, port=port)
 
 
 def refractive_map(
