@@ -175,3 +175,29 @@ def test_a_picture_of_next_to_no_size_is_read(shape):
     stripe = extract_stripe(image, StripeSection(extractor="steger", threshold_dn=8.0))
     assert len(stripe.centre_px) == shape[1]
     assert np.isin(stripe.status, [Status.NO_PEAK, Status.AT_BORDER, Status.AMBIGUOUS]).all()
+
+
+def test_sigma_is_the_noise_of_every_pixel_beside_a_sloping_line():
+    """By changing one pixel after the other, on a line that leans by 45 degrees.
+
+    A change turns the ridge as well, which moves its crossing by less than a twentieth of what
+    it moves the ridge.
+    """
+    centre = HEIGHT / 2 + 0.3 + np.arange(-20.0, 21.0)
+    noise = NoiseSection(read_dn=1.0, dn_per_electron=1e-9, speckle=0.0)
+    image = drawn(centre, 1.5, HEIGHT, 200.0)
+
+    def found(picture):
+        return ridge_of(picture, noise=noise, line_width_px=2.355 * 1.5)
+
+    moved = []
+    for row in range(-14, 15):
+        for column in range(-8, 9):
+            shifts = []
+            for change in (0.5, -0.5):
+                changed = image.copy()
+                changed[int(centre[20]) + row, 20 + column] += change
+                shifts.append(found(changed).centre_px[20])
+            moved.append(shifts[0] - shifts[1])
+    expected = np.sqrt(np.square(moved).sum())
+    assert found(image).sigma_px[20] == pytest.approx(expected, rel=0.05)

@@ -113,6 +113,22 @@ def test_the_response_is_that_of_the_integral() -> None:
     np.testing.assert_allclose(linear[inner, 1] - LEVEL_MM, gain * relief(y)[inner], atol=2e-3)
 
 
+def test_what_a_steep_ripple_hides_is_not_shown() -> None:
+    """Ripples of 2 mm by 1.6 mm, twice as steep as the line of sight: half of them is hidden."""
+    k = 2 * np.pi / 2.0
+
+    def relief(y: Floats) -> Floats:
+        return 0.8 * np.cos(k * y)
+
+    y = np.arange(0.0, 12.0, 0.05)
+    height = LEVEL_MM + relief(y)[:, None] * np.ones(1)
+    tau = np.full(height.shape, (SHEET.camera_mm[2] - LEVEL_MM) / -SHEET.camera_mm[1])
+    sight = Sight(tau, np.zeros(1), np.stack([0 * tau, 1e6 + 0 * tau]))
+    found = responses(height, 0.05, 1.0, SIGMA_MM, sight)[0][60:-60, 0] - LEVEL_MM
+    # Taken at every quarter of a sigma, an edge of what is hidden is off by an eighth of one.
+    assert np.sqrt(np.mean((found - shown(relief, y)[60:-60]) ** 2)) < 0.08
+
+
 # --- the spectrum -------------------------------------------------------------------------
 
 
