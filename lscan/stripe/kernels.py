@@ -26,7 +26,9 @@ class _FirstTime(event.Listener):
     def on_start(self, event: event.Event) -> None:
         """Called where something is compiled that no cache has."""
         if not self.said:
-            _log.warning("note: compiles what reads pictures: some seconds, once if it can be kept")
+            _log.warning(
+                "note: compiles what reads pictures: half a minute, once if it can be kept"
+            )
             self.said = True
 
     def on_end(self, event: event.Event) -> None:
