@@ -1,6 +1,8 @@
 """The one chain: from a run's pictures to its calibration, its surface and its measures."""
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
@@ -722,8 +724,9 @@ def require_piece(run: Run, wanted: type[Piece]) -> Piece:
 
 
 def compile_loops() -> None:
-    """Compile all loops of the instrument, for the processes that follow."""
-    compile_lines()
-    compile_marks()
-    compile_splines()
-    compile_reliefs()
+    """Compile all loops of the instrument, for the processes that follow: on two cores."""
+    with ProcessPoolExecutor(2, initializer=logging.disable) as pool:
+        lines = pool.submit(compile_lines)
+        others = [pool.submit(each) for each in (compile_marks, compile_splines, compile_reliefs)]
+        for part in (lines, *others):
+            part.result()
