@@ -83,16 +83,14 @@ class TensorBasis:
         """K."""
         return (len(self.knots_u) - DEGREE - 1) * (len(self.knots_v) - DEGREE - 1)
 
-    def rows(self, points: Floats, by_u: int = 0, by_v: int = 0) -> Floats:
-        """(N, K) values of the functions, or of their derivatives.
+    def rows(self, points: Floats) -> Floats:
+        """(N, K) values of the functions.
 
         Parameters
         ----------
         points : (N, 2) array, of (u, v)
-        by_u, by_v : int, how often they are derived by u and by v
         """
-        of_u = _values(self.knots_u, points[:, 0], by_u)
-        of_v = _values(self.knots_v, points[:, 1], by_v)
+        of_u, of_v = _values(self.knots_u, points[:, 0]), _values(self.knots_v, points[:, 1])
         return (of_u[:, :, None] * of_v[:, None, :]).reshape(len(points), self.count)
 
     def roughness(self) -> Floats:
@@ -124,7 +122,7 @@ def even_basis(low: Floats, high: Floats, segments: int) -> TensorBasis:
     return TensorBasis(*knots)
 
 
-def _values(knots: Floats, x: Floats, derivative: int) -> Floats:
+def _values(knots: Floats, x: Floats, derivative: int = 0) -> Floats:
     """(N, I) the B-splines on ``knots``, or a derivative of each, at x (N,)."""
     splines = BSpline(knots, np.eye(len(knots) - DEGREE - 1), DEGREE)
     return splines.derivative(derivative)(x) if derivative else splines(x)

@@ -5,7 +5,7 @@ import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 
-from lscan.calibration.maps.spline import FLAT, Smooth, TensorBasis, even_basis, smooth
+from lscan.calibration.maps.spline import FLAT, Smooth, TensorBasis, even_basis, smooth, surface_at
 from lscan.records import Floats
 
 LOW, HIGH = np.array([-1.0, -0.7]), np.array([1.0, 0.8])
@@ -40,13 +40,23 @@ def test_roughness_of_a_cubic(cubic: list[float], seed: int) -> None:
     assert found @ rough @ found == pytest.approx(expected, abs=rounding + 1e-9)
 
 
-def test_derivatives_are_differences() -> None:
-    places, step = _places(50, 1) * 0.9, 1e-6
-    coefficients = np.random.default_rng(2).normal(size=BASIS.count)
-    for by, shift in (((1, 0), [step, 0.0]), ((0, 1), [0.0, step])):
-        ahead, behind = (BASIS.rows(places + sign * np.array(shift)) for sign in (1, -1))
-        difference = (ahead - behind) @ coefficients / (2 * step)
-        np.testing.assert_allclose(BASIS.rows(places, *by) @ coefficients, difference, atol=1e-6)
+def test_a_surface_is_that_of_all_its_functions() -> None:
+    """Its values, their derivatives, and the errors by few columns of its roots and by the rest."""
+    places, step = _places(50, 1) * 1.1, 1e-6  # some lie beyond the ends
+    generator = np.random.default_rng(2)
+    coefficients, of_x, of_z = (
+        generator.normal(size=shape) for shape in ((2, BASIS.count), *2 * ((BASIS.count, 9),))
+    )
+    rows, few, axes = BASIS.rows(places), 4, (BASIS.knots_u, BASIS.knots_v)
+    values, slopes, first, second, rest = surface_at(*axes, places, coefficients, of_x, of_z, few)
+    np.testing.assert_allclose(values, rows @ coefficients.T, atol=1e-9)
+    for axis, shift in enumerate(np.eye(2) * step):
+        ahead, behind = (BASIS.rows(places + sign * shift) @ coefficients.T for sign in (1, -1))
+        np.testing.assert_allclose(slopes[:, :, axis], (ahead - behind) / (2 * step), atol=1e-5)
+    for value, (root, found) in enumerate(((of_x, first), (of_z, second))):
+        every = rows @ root
+        np.testing.assert_allclose(found, every[:, :few], atol=1e-9)
+        np.testing.assert_allclose(rest[:, value], (every[:, few:] ** 2).sum(axis=1), rtol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -177,16 +177,3 @@ def test_refusals() -> None:
     reading = read_board(BOARD, View().project, missing=few.ravel())
     with pytest.raises(BoardNotFound, match="found 6 marks"):
         solver.solve(replace(reading, rulers=()), "")
-
-
-def test_few_modes_leave_the_variance_as_it_is() -> None:
-    """What the other modes do is each point's own then: of a point alone nothing changes."""
-    view = View()
-    reading = read_board(BOARD, view.project, TANK_NOISE_PX, np.random.default_rng(3))
-    solved = find_solver("spline").solve(reading)
-    pixels = view.project(board_points(50, seed=2))
-    few, every = (
-        each(pixels, np.full(50, 1e-4)) for each in (solved.in_few_modes, solved.estimate)
-    )
-    assert few.modes_mm.shape[-1] < every.modes_mm.shape[-1]
-    np.testing.assert_allclose(few.variance_mm2, every.variance_mm2, rtol=1e-9)
