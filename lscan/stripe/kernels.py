@@ -103,7 +103,7 @@ def compile_lines() -> None:
     running_medians(np.ones(1), 1)
     pieces_of(used[0], np.zeros(3), 1.0)
     end_doubts(np.zeros(3, np.int64), np.zeros(3), np.zeros(3), np.zeros(3), 1, 2)
-    core_variance(np.ones(1), 0.0, 1, 1.0)
+    core_variance(np.ones(1), one, 0.0, 1, 1.0)
     shot_and_speckle(np.ones(1), np.ones(1), 1.0)
     linked_runs(one, one, one, 1)
     best_path(one, np.zeros(1), np.zeros(1), 1, 1.0, 1.0, 1.0)
@@ -375,6 +375,9 @@ def solve_factorised(matrix: Floats, right: Floats) -> None:
 # The centre by the paper's rules (rules.py).
 
 
+MIDDLE, CENTROID, RELATIVE = range(3)
+
+
 @compiled_sums
 def centroids(
     wide: Floats,
@@ -392,7 +395,7 @@ def centroids(
     wide : (K, n + 2) array, DN, the pixels that the rule sees, and one more on either side
     around : (K, m) array, DN, smoothed, where the brightest pixel might have been as well
     base : (K,) array, DN, the columns' background
-    rule : int, 0 for the middle pixel, 1 for the centroid, 2 for that of relative values
+    rule : int, MIDDLE pixel, CENTROID or that of RELATIVE values
     constant, per_dn : float, DN² and DN, of the pixels' noise, as in ``picture.Noise``
     averaged : float, pixels that one of ``around`` is the mean of
 
@@ -421,10 +424,10 @@ def centroids(
         step = 1 if wide[k, reach + 2] >= wide[k, reach] else -1
         moved = step + _centroid(wide[k, 1 + step : 1 + step + size], rule, spare)
         variance += _at_most_one(moved - offset) ** 2 * spread
-        if rule == 2:
+        if rule == RELATIVE:
             for p in range(size):
                 spare[p] = window[p] - base[k]
-            variance += _at_most_one(_centroid(spare, 1, slope) - offset) ** 2 / 6
+            variance += _at_most_one(_centroid(spare, CENTROID, slope) - offset) ** 2 / 6
         offsets[k], variances[k] = offset, variance
     return offsets, variances
 
@@ -437,13 +440,13 @@ def _centroid(window: Floats, rule: int, slope: Floats) -> float:
     """
     size = len(window)
     reach, lowest, total, moment = size // 2, 0, 0.0, 0.0
-    if rule == 0:
+    if rule == MIDDLE:
         slope[:] = 0.0
         return 0.0
-    if rule == 2:
+    if rule == RELATIVE:
         for p in range(size):
             lowest = p if window[p] < window[lowest] else lowest
-    floor = window[lowest] if rule == 2 else 0.0
+    floor = window[lowest] if rule == RELATIVE else 0.0
     for p in range(size):
         total += window[p] - floor
         moment += (window[p] - floor) * (p - reach)
@@ -452,7 +455,7 @@ def _centroid(window: Floats, rule: int, slope: Floats) -> float:
     for p in range(size):
         slope[p] = (p - reach - offset) / total
         whole += slope[p]
-    if rule == 2:  # the lowest is taken off all weights, and moves the centroid through all
+    if rule == RELATIVE:  # the lowest is taken off all weights, and moves the centroid through all
         slope[lowest] -= whole
     return offset
 
@@ -785,24 +788,30 @@ def total_profile(columns: GreyValues, at: Ints, rows: Ints, reach: int) -> Floa
 
 
 @compiled
-def core_variance(sizes: Floats, least: float, cuts: int, kept: float) -> float:
-    """The variance that ``picture.robust_variance`` says, of rising sizes, one or more.
+def core_variance(sizes: Floats, counts: Ints, least: float, cuts: int, kept: float) -> float:
+    """The variance that ``picture.robust_variance`` says, of rising sizes; 0 of none.
 
     Parameters
     ----------
     sizes : (N,) array, rising, of any unit
+    counts : (N,) array, how often there is each
     least : float, where the search starts if most values agree
     cuts : int, turns
     kept : float, share of a normal distribution's variance that lies within 3 sigma
     """
-    count = len(sizes)
-    middle = (sizes[(count - 1) // 2] + sizes[count // 2]) / 2
-    variance = max((1.4826 * middle) ** 2, least)
+    whole, up_to, middle = counts.sum(), 0, 0.0
+    for n in range(len(sizes)):
+        for rank in ((whole - 1) // 2, whole // 2):
+            middle += sizes[n] / 2 if up_to <= rank < up_to + counts[n] else 0.0
+        up_to += counts[n]
+    variance = max((1.4826 * middle) ** 2, least) if whole else 0.0
     for _ in range(cuts):
         limit, total, inside = 3 * sqrt(variance), 0.0, 0
-        while inside < count and sizes[inside] <= limit:
-            total += sizes[inside] ** 2
-            inside += 1
+        for n in range(len(sizes)):
+            if sizes[n] > limit:
+                break
+            total += counts[n] * sizes[n] ** 2
+            inside += counts[n]
         if inside == 0:
             break
         variance = total / inside / kept

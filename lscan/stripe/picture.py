@@ -120,7 +120,8 @@ def constant_variance(columns: GreyValues) -> float:
     least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
     if (grey == sample).all():
         count = count_second_differences(grey, 2 * int(np.ptp(grey)))
-        variance = _core_of_counts(count, least)
+        sizes = np.arange(len(count), dtype=float)
+        variance = core_variance(sizes, count, least, _CUTS, _KEPT)
     else:  # those of single precision are rounded
         variance = robust_variance(np.diff(sample.astype(np.float64), n=2, axis=1), least)
     return max(variance / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
@@ -200,26 +201,8 @@ def robust_variance(values: GreyValues, least: float = 0.0) -> float:
     values : array, of any shape and unit
     least : float, a variance there is in any case, where the search starts if most values agree
     """
-    if values.size == 0:
-        return 0.0
-    sizes = np.abs(np.asarray(values, dtype=float))
-    return core_variance(np.sort(sizes, axis=None), least, _CUTS, _KEPT)
-
-
-def _core_of_counts(count: Ints, least: float) -> float:
-    """The same of whole numbers, so many of each size from 0 on."""
-    sizes = np.arange(len(count))
-    up_to, squares = count.cumsum(), (count * sizes**2).cumsum()
-    if up_to[-1] == 0:
-        return 0.0
-    middle = up_to.searchsorted([(up_to[-1] - 1) // 2, up_to[-1] // 2], side="right")
-    variance = max((1.4826 * float(middle.mean())) ** 2, least)
-    for _ in range(_CUTS):
-        last = int(sizes.searchsorted(3 * np.sqrt(variance), side="right")) - 1
-        if last < 0 or up_to[last] == 0:
-            break
-        variance = float(squares[last] / up_to[last]) / _KEPT
-    return variance
+    sizes = np.sort(np.abs(np.asarray(values, dtype=float)), axis=None)
+    return core_variance(sizes, np.ones(len(sizes), np.int64), least, _CUTS, _KEPT)
 
 
 # Whether a picture was compressed in blocks, as JPEG and MJPEG do, whatever file it comes in.

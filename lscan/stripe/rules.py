@@ -10,7 +10,7 @@ differs by (fit.py).  sigma_px holds all three.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import wraps
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
@@ -20,7 +20,7 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe
 from lscan.stripe.api import Extractor, along_the_line, on_integers
 from lscan.stripe.fit import LineWindows, lines, parameters_of
-from lscan.stripe.kernels import centroids, ridge_crossings
+from lscan.stripe.kernels import CENTROID, MIDDLE, RELATIVE, centroids, ridge_crossings
 from lscan.stripe.likelihood import Survey, survey
 from lscan.stripe.peaks import (
     clipped_middles,
@@ -175,9 +175,7 @@ def _line_light(seen: Survey, light: Floats) -> LineLight:
 _FARTHEST_PX = 15  # from a line's crest, of pixels that might be it
 
 
-def _centred(
-    image: GreyValues, settings: StripeSection, clipped: Mask, rule: Literal[0, 1, 2]
-) -> Stripe:
+def _centred(image: GreyValues, settings: StripeSection, clipped: Mask, rule: int) -> Stripe:
     """The stripe by a rule of ``kernels.centroids``.
 
     A column has a line where its highest value exceeds its median by more than
@@ -236,7 +234,7 @@ def maximum(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe
     ----------
     Sec. V.B of the paper: the nominal peak.
     """
-    return _centred(image, settings, clipped, 0)
+    return _centred(image, settings, clipped, MIDDLE)
 
 
 @on_integers
@@ -255,7 +253,7 @@ def centroid(image: GreyValues, settings: StripeSection, clipped: Mask) -> Strip
     ----------
     Sec. V.B and eq. (8) of the paper.
     """
-    return _centred(image, settings, clipped, 1)
+    return _centred(image, settings, clipped, CENTROID)
 
 
 @on_integers
@@ -272,7 +270,7 @@ def centroid_relative(image: GreyValues, settings: StripeSection, clipped: Mask)
     ----------
     Sec. V.B of the paper: eq. (8) with the relative intensities.
     """
-    return _centred(image, settings, clipped, 2)
+    return _centred(image, settings, clipped, RELATIVE)
 
 
 # The log-parabola: of a Gaussian the logarithm is a parabola, whose vertex is the centre.

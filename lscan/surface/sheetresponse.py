@@ -262,11 +262,11 @@ def _spacing(coordinate: Floats, axis: int) -> float:
 def _normal_equations(
     points: Floats, noise: Floats, profile: int, near: Ints, beside: Ints, radius: float
 ) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-    """Of the quadratics about the N points of a profile: (N, 6, 6) and (N, 6), sums of squares,
+    """The normal equations of the quadratics about the N points of a profile.
 
-    how many points each is of, and their mean variance in mm².
-
-    near: profiles.  beside: offsets of their columns.  Offsets count in radii.
+    Left (N, 6, 6) and right (N, 6) sides, sums of squares (N,), how many points each quadratic is
+    of, and their mean variance in mm².  near: profiles.  beside: offsets of their columns, which
+    the quadratics count in radii.
     """
     count = points.shape[1]
     normal, right = np.zeros((count, 6, 6)), np.zeros((count, 6))

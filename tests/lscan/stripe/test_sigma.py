@@ -9,7 +9,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import norm
 
 from lscan.config.rig import NoiseSection, StripeSection
-from lscan.stripe import extract_stripe, kernels, picture as noise, rules
+from lscan.stripe import extract_stripe, picture as noise, rules
+from lscan.stripe.kernels import CENTROID, RELATIVE, _centroid
 
 HEIGHT, WIDTH = 480, 640
 
@@ -108,8 +109,10 @@ def test_noise_is_carried_through_the_derivative_of_the_centre(extract, values):
         derivative.append((ends[0] - ends[1]) / (2 * step))
     noise_only = noise.ROUNDING_VARIANCE * np.square(derivative).sum()
     slope = np.empty(5)
-    kernels._centroid(
-        column[8:13, 0], {rules.centroid: 1, rules.centroid_relative: 2}[extract], slope
+    _centroid(
+        column[8:13, 0],
+        {rules.centroid: CENTROID, rules.centroid_relative: RELATIVE}[extract],
+        slope,
     )
     # Central differences of a ratio of sums near 500 DN err by about (1e-4 / 500)² and by
     # rounding, 1e-14 / 1e-4.
