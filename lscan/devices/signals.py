@@ -52,10 +52,27 @@ def interrupted_by_signals(unhandled_only: bool = False) -> Iterator[None]:
     unhandled_only : bool
         Leave alone those for which there is a handler, such as a script's own.
     """
-    with _handle_signals(
-        filter(_is_unhandled if unhandled_only else _may_act, STOPPING), _Interruption()
-    ):
+    handled = filter(_is_unhandled if unhandled_only else _may_act, STOPPING)
+    with _handle_signals(handled, _Interruption()), interruption_kept():
         yield
+
+
+@contextmanager
+def interruption_kept() -> Iterator[None]:
+    """Raise KeyboardInterrupt where a library made another error of it within the block.
+
+    Mitsuba and Dr.Jit do, of what is raised while code of ours runs that they have called: as the
+    error's cause, or as no more than its name in what the error says.
+    """
+    try:
+        yield
+    except Exception as error:
+        behind: BaseException | None = error
+        while behind is not None:
+            if isinstance(behind, KeyboardInterrupt) or "KeyboardInterrupt" in str(behind):
+                raise KeyboardInterrupt from error
+            behind = behind.__cause__ or behind.__context__
+        raise
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """The tank: from a scene to radiance, in layers, wherever the head stands."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from math import ceil
 from typing import Any
@@ -10,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from lscan.devices.signals import interruption_kept
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.meshes import MeshPart, scene_parts
@@ -34,6 +36,13 @@ UM_PER_MM = 1e3
 PLACES = 5  # of a scan, that say what the camera sees in it
 
 
+@contextmanager
+def _rendering() -> Iterator[None]:
+    """What holds while Mitsuba works for a tank."""
+    with flushing(), interruption_kept():
+        yield
+
+
 class Tank:
     """A scene loaded into Mitsuba; only the head moves, so geometry is built once.
 
@@ -51,7 +60,7 @@ class Tank:
     tables included).
     """
 
-    @flushing()
+    @_rendering()
     def __init__(self, scene: Scene, *, sampled: bool = False, water_step: float = 0.0) -> None:
         """Load meshes and plugins.
 
@@ -92,6 +101,7 @@ class Tank:
         self._gathered: GatheredLight | None = None
         self.place(scene.rig.plan.start_mm)
 
+    @_rendering()
     def make_camera(
         self,
         window: tuple[int, int, int, int] | None = None,
@@ -139,6 +149,7 @@ class Tank:
         camera.place(head_pose(head, 0.0) @ camera_pose(head))
         return camera
 
+    @_rendering()
     def take(self, scene: Scene) -> None:
         """Take on the numbers of a picture.
 
@@ -182,7 +193,7 @@ class Tank:
         for sheet in self.sheets:
             sheet.place(pose, velocity)
 
-    @flushing()
+    @_rendering()
     def render(
         self,
         position_mm: float,
@@ -213,13 +224,14 @@ class Tank:
         samples = render.samples if samples is None else samples
         check_samples(samples, render.fineness, where="samples")
         parts = render.fineness**2
-        anew, self._anew = self._anew or laser.drift is not None, False
+        anew = self._anew or laser.drift is not None
         if anew:
             self._tune(laser.wavelength_at(time_s))
             self._focus(self._camera)
             self._focus(self._random_camera)
         more = render.scatter_samples if scatter_samples is None else scatter_samples
         self._look(anew=anew, gathered=more > 0)
+        self._anew = False  # once it is done: a picture that was interrupted leaves it to the next
         self.place(position_mm, exposure_ms)
         # The noise of one picture of a scan says nothing about that of the next.
         place = np.array([position_mm]).view(np.uint64)
@@ -236,6 +248,7 @@ class Tank:
         direct, scattered = first["direct"] * laser_scale, first["scattered"] * laser_scale
         return Layers(direct=direct, scattered=scattered, ambient=first["ambient"] * ambient_scale)
 
+    @_rendering()
     def pixel_rays(self, position_mm: float) -> tuple[mi.Ray3f, mi.Float]:
         """The rays in the water through the middles of the pixels, row by row; their weights.
 
@@ -259,7 +272,7 @@ class Tank:
         ray = dr.gather(mi.Ray3f, rays.seen_from(head_pose(head, position_mm)), inner)
         return ray, dr.gather(mi.Float, rays.weight, inner)
 
-    @flushing()
+    @_rendering()
     def higher_orders(self, position_mm: float, samples: int | None = None) -> dict[str, Radiance]:
         """The laser's light of higher orders, (H, W) in W/(m2 sr), gathered, by families.
 
@@ -380,14 +393,9 @@ class Tank:
         self, camera: RefractiveCamera, integrator: WaterIntegrator, samples: int, seed: int
     ) -> dict[str, Radiance]:
         """Each layer's name and picture."""
-        try:
-            image = mi.render(
-                self.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
-            )
-        except RuntimeError as error:
-            if _is_interrupt(error):
-                raise KeyboardInterrupt from error
-            raise
+        image = mi.render(
+            self.mitsuba_scene, sensor=camera, integrator=integrator, spp=samples, seed=seed
+        )
         image, names = np.array(image), integrator.layers
         channels = image[..., -len(names) :]
         # Mitsuba weighs its own sum with the camera's transmission but not the channels beside
@@ -445,15 +453,6 @@ def _optics(scene: Scene) -> tuple[object, ...]:
 def _camera_of(head: Head) -> tuple[object, ...]:
     """Where the camera is in the head."""
     return head.camera_mm, head.depression_deg, head.heading_deg, head.roll_deg
-
-
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Whether Ctrl-C is behind an error: Mitsuba wraps what is raised while a plugin runs."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 # What surface each pixel of a picture sees, through the middle of the pixel and of the pupil.

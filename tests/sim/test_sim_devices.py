@@ -1,17 +1,22 @@
 """The tank's camera and track: the contract of every device, and what is theirs alone."""
 
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 from helper_spies import calls_made, readiness
 from places import SCENES
 
 from lscan.config.rig import RigFile, load_rig, parse_rig
+from lscan.devices.signals import interruption_kept
 from lscan.errors import DeviceError, InputError
 from sim.devices import SimCamera, SimTrack, TankCamera, TrackOptions, camera_driver, track_driver
+from sim.render.plugins.camera import RefractiveCamera
 from sim.render.tank import Tank
 from sim.scene import scene_of
 
@@ -127,20 +132,48 @@ def test_travel_is_enforced(rig_file: RigFile) -> None:
 
 
 @pytest.mark.parametrize("behind", [KeyboardInterrupt, ValueError])
-def test_ctrl_c_in_a_render_is_not_taken_for_a_fault(
-    monkeypatch: pytest.MonkeyPatch, behind: type[BaseException]
+def test_ctrl_c_while_a_plugin_works_is_not_taken_for_a_fault(
+    rig_file: RigFile, monkeypatch: pytest.MonkeyPatch, behind: type[BaseException]
 ) -> None:
-    """Mitsuba wraps whatever is raised while a plugin runs; only Ctrl-C is unwrapped."""
+    """Mitsuba makes an error of its own of what a plug-in raises, which names it in its text."""
 
-    def broken(*_: object, **__: object) -> None:
-        try:
-            raise behind
-        except behind as error:
-            raise RuntimeError("while rendering") from error
+    def broken(*_: object) -> None:
+        raise behind
 
-    scene = scene_of(load_rig(PAPER / "groove.toml"))
-    tank = Tank(scene.with_tank(render={"light": "sampled"}))
-    monkeypatch.setattr("mitsuba.render", broken)
+    monkeypatch.setattr(RefractiveCamera, "__init__", broken)
+    with pytest.raises(KeyboardInterrupt if behind is KeyboardInterrupt else RuntimeError):
+        Tank(scene_of(rig_file))
+
+
+@pytest.mark.parametrize("behind", [KeyboardInterrupt, ValueError])
+def test_ctrl_c_while_a_loop_is_traced_is_not_taken_for_a_fault(
+    behind: type[BaseException],
+) -> None:
+    """Dr.Jit has what was raised behind an error of its own."""
+
+    def broken(_: mi.UInt32) -> tuple[mi.UInt32]:
+        raise behind
+
     expected = KeyboardInterrupt if behind is KeyboardInterrupt else RuntimeError
-    with pytest.raises(expected):
-        tank.render(0.0)
+    with pytest.raises(expected), interruption_kept():
+        dr.while_loop((mi.UInt32(0),), lambda number: number < 9, broken)
+
+
+def test_the_picture_after_one_that_was_interrupted_is_as_without(
+    rig_file: RigFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What a picture's own numbers change is computed by whichever is taken next."""
+    scene = scene_of(rig_file)
+    other = scene.with_tank(laser={"tilt_deg": scene.tank.laser.tilt_deg + 0.2})
+    tank = Tank(scene)
+    before = tank.render(0.0).direct
+    tank.take(other)
+    with monkeypatch.context() as during:
+        during.setattr(tank, "_focus", lambda _: signal.raise_signal(signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt):
+            tank.render(0.0)
+    again = tank.render(0.0).direct
+    fresh = Tank(scene)
+    fresh.take(other)
+    assert not np.array_equal(again, before)
+    np.testing.assert_array_equal(again, fresh.render(0.0).direct)

@@ -341,14 +341,32 @@ def _python(code: str, **settings: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_importing_the_backend_imports_no_mitsuba_and_an_unknown_variant_is_refused() -> None:
+def test_the_backend_needs_no_mitsuba_to_be_imported_and_refuses_an_unknown_variant() -> None:
     code = (
-        "import sim.render.backend, sys; print({'mitsuba', 'drjit'} & set(sys.modules));"
-        "sim.render.backend.load_mitsuba()"
+        "import sys; sys.modules['mitsuba'] = None; import sim.render.backend as b; print('in');"
+        "del sys.modules['mitsuba']; b.load_mitsuba()"
     )
     done = _python(code, LSCAN_VARIANT="scalar_rgb")
-    assert done.stdout.strip() == "set()", done.stderr
+    assert done.stdout.strip() == "in", done.stderr
     assert "LSCAN_VARIANT: got 'scalar_rgb'" in done.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal of POSIX")
+def test_a_signal_while_mitsuba_is_imported_acts_once_it_is() -> None:
+    """Mitsuba's libraries, left half loaded, would end the program by SIGABRT."""
+    code = (
+        "import os, signal, sys\n"
+        "from lscan.devices.signals import interrupted_by_signals\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'mitsuba.mitsuba_ext': os.kill(os.getpid(), signal.SIGTERM)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "try:\n"
+        "    with interrupted_by_signals(): import sim.render.backend\n"
+        "except KeyboardInterrupt: print('stopped', 'mitsuba' in sys.modules)\n"
+    )
+    done = _python(code)
+    assert (done.stdout.strip(), done.returncode) == ("stopped True", 0), done.stderr
 
 
 def test_the_command_fails_with_one_line_and_code_2(
