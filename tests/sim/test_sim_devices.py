@@ -131,32 +131,24 @@ def test_travel_is_enforced(rig_file: RigFile) -> None:
     assert track.position_mm == 0.0
 
 
-@pytest.mark.parametrize("behind", [KeyboardInterrupt, ValueError])
-def test_ctrl_c_while_a_plugin_works_is_not_taken_for_a_fault(
-    rig_file: RigFile, monkeypatch: pytest.MonkeyPatch, behind: type[BaseException]
+@pytest.mark.parametrize("of", ["plug-in", "loop"])
+@pytest.mark.parametrize(
+    ("behind", "expected"), [(KeyboardInterrupt, KeyboardInterrupt), (ValueError, RuntimeError)]
+)
+def test_ctrl_c_in_mitsuba_or_drjit_is_not_taken_for_a_fault(
+    rig_file: RigFile, monkeypatch: pytest.MonkeyPatch, of: str, behind: Any, expected: Any
 ) -> None:
-    """Mitsuba makes an error of its own of what a plug-in raises, which names it in its text."""
+    """Mitsuba has what was raised in the text of its own error, Dr.Jit behind its own."""
 
-    def broken(*_: object) -> None:
+    def broken(*_: object) -> Any:
         raise behind
 
     monkeypatch.setattr(RefractiveCamera, "__init__", broken)
-    with pytest.raises(KeyboardInterrupt if behind is KeyboardInterrupt else RuntimeError):
-        Tank(scene_of(rig_file))
-
-
-@pytest.mark.parametrize("behind", [KeyboardInterrupt, ValueError])
-def test_ctrl_c_while_a_loop_is_traced_is_not_taken_for_a_fault(
-    behind: type[BaseException],
-) -> None:
-    """Dr.Jit has what was raised behind an error of its own."""
-
-    def broken(_: mi.UInt32) -> tuple[mi.UInt32]:
-        raise behind
-
-    expected = KeyboardInterrupt if behind is KeyboardInterrupt else RuntimeError
-    with pytest.raises(expected), interruption_kept():
-        dr.while_loop((mi.UInt32(0),), lambda number: number < 9, broken)
+    with pytest.raises(expected):
+        if of == "plug-in":
+            Tank(scene_of(rig_file))
+        with interruption_kept():
+            dr.while_loop((mi.UInt32(0),), lambda number: number < 9, broken)
 
 
 def test_the_picture_after_one_that_was_interrupted_is_as_without(

@@ -7,7 +7,7 @@ moves while the shutter is open blurs by motion.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -308,23 +308,14 @@ class RefractiveCamera(mi.Sensor):
         moved = (self._shift(value, place, k) for k, value in enumerate((sample.x, sample.y)))
         return mi.Point2f(mi.warp.square_to_uniform_disk_concentric(mi.Point2f(*moved)))
 
-    def sample_ray_differential(
-        self,
-        time: mi.Float,
-        wavelength_sample: mi.Float,
-        position_sample: mi.Point2f,
-        aperture_sample: mi.Point2f,
-        active: mi.Bool = True,
-    ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
+    def sample_ray_differential(self, *sample: Any) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
         """As ``sample_ray``; the differentials are left out, no texture here needs them.
 
         Parameters
         ----------
-        time, wavelength_sample, position_sample, aperture_sample, active : as of ``sample_ray``
+        *sample : as of ``sample_ray``
         """
-        ray, weight = self.sample_ray(
-            time, wavelength_sample, position_sample, aperture_sample, active
-        )
+        ray, weight = self.sample_ray(*sample)
         return mi.RayDifferential3f(ray), weight
 
     def bbox(self) -> mi.ScalarBoundingBox3f:

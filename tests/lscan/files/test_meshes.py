@@ -179,31 +179,18 @@ def test_an_obj_file_counts_back_from_where_it_is(tmp_path: Path) -> None:
     np.testing.assert_array_equal(heights, [[0, 0, 0], [9, 9, 9]])
 
 
+def coloured_ply(kind: str, names: str, colour: str) -> str:
+    """A triangle whose corners have three more properties, all of one colour."""
+    props = "".join(f"property {kind} {name}\n" for name in names.split())
+    corners = "".join(f"{place} 0 {colour}\n" for place in ("0 0", "1 0", "0 1"))
+    head = HEAD.format(kind="ascii", n=3, m=1, more="", props=XYZ + props)
+    return f"{head}{corners}3 0 1 2\n"
+
+
 COLOURED = {
-    "rgb.ply": HEAD.format(
-        kind="ascii",
-        n=3,
-        m=1,
-        more="",
-        props=XYZ + "property uchar r\nproperty uchar g\nproperty uchar b\n",
-    )
-    + "0 0 0 128 64 0\n1 0 0 128 64 0\n0 1 0 128 64 0\n3 0 1 2\n",
-    "float.ply": HEAD.format(
-        kind="ascii",
-        n=3,
-        m=1,
-        more="",
-        props=XYZ + "property float red\nproperty float green\nproperty float blue\n",
-    )
-    + "0 0 0 .501 .25 0\n1 0 0 .501 .25 0\n0 1 0 .501 .25 0\n3 0 1 2\n",
-    "wide.ply": HEAD.format(
-        kind="ascii",
-        n=3,
-        m=1,
-        more="",
-        props=XYZ + "property ushort red\nproperty ushort green\nproperty ushort blue\n",
-    )
-    + "0 0 0 32896 16448 0\n1 0 0 32896 16448 0\n0 1 0 32896 16448 0\n3 0 1 2\n",
+    "rgb.ply": coloured_ply("uchar", "r g b", "128 64 0"),
+    "float.ply": coloured_ply("float", "red green blue", ".501 .25 0"),
+    "wide.ply": coloured_ply("ushort", "red green blue", "32896 16448 0"),
     "face.ply": "ply\nformat ascii 1.0\nelement vertex 3\n" + XYZ + "element face 1\n"
     "property list uchar int vertex_indices\nproperty uchar red\nproperty uchar green\n"
     "property uchar blue\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2 128 64 0\n",

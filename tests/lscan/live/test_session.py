@@ -55,6 +55,17 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
         yield bench
 
 
+Gated = tuple[Bench, Session, GatedTrack]
+
+
+@pytest.fixture
+def gated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Gated]:
+    """A page whose track waits, before each frame, for its gate."""
+    track = GatedTrack(gate=threading.Semaphore(0))
+    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
+        yield bench, bench.open(), track
+
+
 # ---- scans ------------------------------------------------------------------------------
 
 
@@ -83,105 +94,90 @@ def test_a_camera_that_can_be_looked_at_is_shown_while_a_scan_goes_on(
         assert scan_of(session)["done"] == 0
 
 
-def test_the_scans_own_pictures_are_shown_where_nobody_else_may_grab(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track = GatedTrack(gate=threading.Semaphore(0))
-    with live_bench(monkeypatch, tmp_path, track) as bench:
-        session = bench.open()
-        session.start_scan()
-        before = sum(bench.drivers.camera.grabs.values())
-        track.gate.release()
-        wait_for(lambda: scan_of(session)["done"] == 1)
-        shown = wait_for(lambda: (f := frame_of(session))["position_mm"] == 1.013 and f)
-        assert shown["size_px"] == [20, 16]
-        assert sum(bench.drivers.camera.grabs.values()) == before + 1
+def test_the_scans_own_pictures_are_shown_where_nobody_else_may_grab(gated: Gated) -> None:
+    bench, session, track = gated
+    session.start_scan()
+    before = sum(bench.drivers.camera.grabs.values())
+    track.gate.release()
+    wait_for(lambda: scan_of(session)["done"] == 1)
+    shown = wait_for(lambda: (f := frame_of(session))["position_mm"] == 1.013 and f)
+    assert shown["size_px"] == [20, 16]
+    assert sum(bench.drivers.camera.grabs.values()) == before + 1
 
 
-def test_pause_and_resume_lose_and_repeat_no_frame(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track = GatedTrack(gate=threading.Semaphore(0))
-    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
-        session = bench.open()
-        session.start_scan("a")
-        with pytest.raises(NotNow, match="a scan is going on"):
-            session.start_scan("b")
-        track.gate.release()
-        wait_for(lambda: scan_of(session)["done"] == 1)
+def test_pause_and_resume_lose_and_repeat_no_frame(tmp_path: Path, gated: Gated) -> None:
+    _, session, track = gated
+    session.start_scan("a")
+    with pytest.raises(NotNow, match="a scan is going on"):
+        session.start_scan("b")
+    track.gate.release()
+    wait_for(lambda: scan_of(session)["done"] == 1)
+    session.scanning.pause()
+    assert scan_of(session)["state"] in ("stopping", "paused")
+    track.gate.release()  # the frame being taken, where it was begun before the pause
+    paused = reaches(session, "paused")
+    assert paused["done"] in (1, 2)
+    assert open_run(tmp_path / "runs" / "a").state == "scanning"
+    with pytest.raises(NotNow):
         session.scanning.pause()
-        assert scan_of(session)["state"] in ("stopping", "paused")
-        track.gate.release()  # the frame being taken, where it was begun before the pause
-        paused = reaches(session, "paused")
-        assert paused["done"] in (1, 2)
-        assert open_run(tmp_path / "runs" / "a").state == "scanning"
-        with pytest.raises(NotNow):
-            session.scanning.pause()
-        track.gate.release(10)
+    track.gate.release(10)
+    session.resume_scan()
+    done = reaches(session, "done")
+    assert (done["done"], done["left_s"]) == (5, None)
+    with pytest.raises(NotNow, match="no scan to go on with"):
         session.resume_scan()
-        done = reaches(session, "done")
-        assert (done["done"], done["left_s"]) == (5, None)
-        with pytest.raises(NotNow, match="no scan to go on with"):
-            session.resume_scan()
     assert folder_bytes(tmp_path / "runs" / "a") == reference(tmp_path / "b")
 
 
-def test_a_stopped_scan_can_be_resumed_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track = GatedTrack(gate=threading.Semaphore(2))
-    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
-        session = bench.open()
-        with pytest.raises(NotNow):
-            session.scanning.stop()
-        session.start_scan()
-        wait_for(lambda: scan_of(session)["done"] == 2)
+def test_a_stopped_scan_can_be_resumed_and_says_so(tmp_path: Path, gated: Gated) -> None:
+    _, session, track = gated
+    track.gate.release(2)
+    with pytest.raises(NotNow):
         session.scanning.stop()
-        track.gate.release(10)
-        stopped = reaches(session, "idle")
-        assert stopped["message"] == "frames are kept; Resume goes on"
-        assert stopped["folder"].endswith("scan-001")
-        session.resume_scan()
-        reaches(session, "done")
+    session.start_scan()
+    wait_for(lambda: scan_of(session)["done"] == 2)
+    session.scanning.stop()
+    track.gate.release(10)
+    stopped = reaches(session, "idle")
+    assert stopped["message"] == "frames are kept; Resume goes on"
+    assert stopped["folder"].endswith("scan-001")
+    session.resume_scan()
+    reaches(session, "done")
     assert folder_bytes(tmp_path / "runs" / "scan-001") == reference(tmp_path / "b")
 
 
-def test_a_paused_scan_is_stopped_by_stop_and_left_by_a_new_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track = GatedTrack(gate=threading.Semaphore(1))
-    with live_bench(monkeypatch, tmp_path, track) as bench:
-        session = bench.open()
-        session.start_scan("a")
-        wait_for(lambda: scan_of(session)["done"] == 1)
-        session.scanning.pause()
-        track.gate.release(100)
-        reaches(session, "paused")
-        session.scanning.stop()
-        assert scan_of(session)["state"] == "idle"
-        session.start_scan("b")
-        assert reaches(session, "done")["folder"].endswith("b")
+def test_a_paused_scan_is_stopped_by_stop_and_left_by_a_new_one(gated: Gated) -> None:
+    _, session, track = gated
+    track.gate.release(1)
+    session.start_scan("a")
+    wait_for(lambda: scan_of(session)["done"] == 1)
+    session.scanning.pause()
+    track.gate.release(100)
+    reaches(session, "paused")
+    session.scanning.stop()
+    assert scan_of(session)["state"] == "idle"
+    session.start_scan("b")
+    assert reaches(session, "done")["folder"].endswith("b")
 
 
 def test_closing_ends_a_scan_after_its_frame_and_names_its_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, gated: Gated
 ) -> None:
-    track = GatedTrack(gate=threading.Semaphore(1))
-    with live_bench(monkeypatch, tmp_path / "runs", track) as bench:
-        session = bench.open()
-        session.start_scan("a")
-        wait_for(lambda: scan_of(session)["done"] == 1)
-        threading.Timer(0.1, track.gate.release, [100]).start()
-        assert session.close() == tmp_path / "runs" / "a"
-        assert bench.drivers.camera.closed >= 1
-        assert track.closed >= 1
-        assert len(open_run(tmp_path / "runs" / "a")) < 5
-        again = bench.open()  # the page opened anew
-        with pytest.raises(InputError, match="exists already"):
-            again.start_scan("a")
-        again.start_scan()
-        reaches(again, "done")
-        assert again.close() is None
+    bench, session, track = gated
+    track.gate.release(1)
+    session.start_scan("a")
+    wait_for(lambda: scan_of(session)["done"] == 1)
+    threading.Timer(0.1, track.gate.release, [100]).start()
+    assert session.close() == tmp_path / "runs" / "a"
+    assert bench.drivers.camera.closed >= 1
+    assert track.closed >= 1
+    assert len(open_run(tmp_path / "runs" / "a")) < 5
+    again = bench.open()  # the page opened anew
+    with pytest.raises(InputError, match="exists already"):
+        again.start_scan("a")
+    again.start_scan()
+    reaches(again, "done")
+    assert again.close() is None
 
 
 def killed_scan(folder: Path, frames: int = 5, done: int = 2) -> None:
@@ -265,7 +261,7 @@ def test_a_name_longer_than_any_file_may_have_holds_no_run(tmp_path: Path) -> No
 
 
 def test_frames_are_numbered_one_by_one_where_pictures_were_passed_over(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Or a browser that asks for what comes after its last would wait for pictures long gone."""
     sessions: list[Session] = []
@@ -279,15 +275,14 @@ def test_frames_are_numbered_one_by_one_where_pictures_were_passed_over(
         return measure_line(*arguments)
 
     monkeypatch.setattr("lscan.live.session.measure_line", slow_line)
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session = bench.open()
-        sessions.append(session)
-        for number in range(1, 6):
-            newest = wait_for(lambda after=number - 1: session.frames.after(after))
-            assert newest[0] == number
-            (length,) = struct.unpack(">I", newest[1][:4])
-            assert json.loads(newest[1][4 : 4 + length])["number"] == number
-        assert session._pictures.after(number) is not None
+    session = bench.open()
+    sessions.append(session)
+    for number in range(1, 6):
+        newest = wait_for(lambda after=number - 1: session.frames.after(after))
+        assert newest[0] == number
+        (length,) = struct.unpack(">I", newest[1][:4])
+        assert json.loads(newest[1][4 : 4 + length])["number"] == number
+    assert session._pictures.after(number) is not None
 
 
 # ---- devices that fail ------------------------------------------------------------------
@@ -379,22 +374,18 @@ def test_the_time_of_the_last_picture_of_a_camera_that_is_gone_is_shown(bench: B
     wait_for(lambda: not session.state()["camera"]["gone"])
 
 
-def test_what_was_wrong_before_a_scan_is_not_said_through_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_wrong_before_a_scan_is_not_said_through_it(gated: Gated) -> None:
     """A camera shown by its grabs alone is not looked at beside the scan's."""
-    track = GatedTrack(gate=threading.Semaphore(0))
-    with live_bench(monkeypatch, tmp_path, track) as bench:
-        session = bench.open()
-        session._task_message = "no board was found"
-        session.start_scan("a")
-        wait_for(lambda: session._devices._scanning)
-        session._devices.camera_error = "no picture"  # of a look that ended just then
-        track.gate.release(2)
-        wait_for(lambda: session.state()["scan"]["done"] == 2)
-        state = session.state()
-        assert state["scan"]["state"] == "scanning"
-        assert (state["task"]["message"], state["camera"]["error"]) == ("", "")
+    _, session, track = gated
+    session._task_message = "no board was found"
+    session.start_scan("a")
+    wait_for(lambda: session._devices._scanning)
+    session._devices.camera_error = "no picture"  # of a look that ended just then
+    track.gate.release(2)
+    wait_for(lambda: session.state()["scan"]["done"] == 2)
+    state = session.state()
+    assert state["scan"]["state"] == "scanning"
+    assert (state["task"]["message"], state["camera"]["error"]) == ("", "")
 
 
 def test_a_scan_that_a_device_ended_says_so(
@@ -471,28 +462,25 @@ def test_devices_that_do_not_open_leave_nothing_open(bench: Bench) -> None:
 # ---- which advice holds -----------------------------------------------------------------
 
 
-def test_optics_are_aligned_only_without_calibration_and_scan(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track = GatedTrack(gate=threading.Semaphore(1))
-    with live_bench(monkeypatch, tmp_path, track) as bench:
-        session = bench.open()
+def test_optics_are_aligned_only_without_calibration_and_scan(tmp_path: Path, gated: Gated) -> None:
+    _, session, track = gated
+    track.gate.release(1)
 
-        def phase() -> str:
-            last = frame_of(session)["number"]
-            return str(frame_of(session, after=last + 1)["phase"])  # begun after the last came
+    def phase() -> str:
+        last = frame_of(session)["number"]
+        return str(frame_of(session, after=last + 1)["phase"])  # begun after the last came
 
-        assert phase() == "alignment"
-        session.start_scan("a")
-        wait_for(lambda: scan_of(session)["done"] == 1)
-        session.scanning.pause()
-        track.gate.release(1)
-        reaches(session, "paused")
-        assert phase() == "scan"
-        session.scanning.stop()
-        assert phase() == "alignment"
-        session._calibration = LiveCalibration(tmp_path / "c.json", None)  # type: ignore
-        assert phase() == "calibrated"
+    assert phase() == "alignment"
+    session.start_scan("a")
+    wait_for(lambda: scan_of(session)["done"] == 1)
+    session.scanning.pause()
+    track.gate.release(1)
+    reaches(session, "paused")
+    assert phase() == "scan"
+    session.scanning.stop()
+    assert phase() == "alignment"
+    session._calibration = LiveCalibration(tmp_path / "c.json", None)  # type: ignore
+    assert phase() == "calibrated"
 
 
 def test_the_best_focus_is_that_of_the_place_where_the_head_stands() -> None:
@@ -510,7 +498,7 @@ def test_the_best_focus_is_that_of_the_place_where_the_head_stands() -> None:
 
 
 def test_the_best_focus_is_begun_anew_by_a_move(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sharp = threading.Event()
 
@@ -518,36 +506,32 @@ def test_the_best_focus_is_begun_anew_by_a_move(
         return Figures(0.0, 90.0 if sharp.is_set() else 30.0, None, None)
 
     monkeypatch.setattr("lscan.live.session.measure_line", measured)
-    with live_bench(monkeypatch, tmp_path) as bench:
-        session = bench.open()
-        sharp.set()
-        wait_for(lambda: frame_of(session)["focus_best"] == 90.0)
-        sharp.clear()
-        wait_for(lambda: (f := frame_of(session))["focus"] == 30.0 and f["focus_best"] == 90.0)
-        session.move_to(5.0)
-        wait_for(lambda: frame_of(session)["focus_best"] == 30.0)
+    session = bench.open()
+    sharp.set()
+    wait_for(lambda: frame_of(session)["focus_best"] == 90.0)
+    sharp.clear()
+    wait_for(lambda: (f := frame_of(session))["focus"] == 30.0 and f["focus_best"] == 90.0)
+    session.move_to(5.0)
+    wait_for(lambda: frame_of(session)["focus_best"] == 30.0)
 
 
 # ---- the other commands -----------------------------------------------------------------
 
 
-def test_the_head_is_moved_but_not_beside_a_scan(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    track = GatedTrack(gate=threading.Semaphore(1))
-    with live_bench(monkeypatch, tmp_path, track) as bench:
-        session = bench.open()
-        session.move_to(7.0)
-        assert session.state()["track"]["position_mm"] == pytest.approx(7.013)
-        session.start_scan()
-        for command in (
-            lambda: session.move_to(1.0),
-            lambda: session.switch_laser(True),
-            session.take_board,
-            session.resume_scan,
-        ):
-            with pytest.raises(NotNow, match="a scan is going on"):
-                command()
+def test_the_head_is_moved_but_not_beside_a_scan(gated: Gated) -> None:
+    _, session, track = gated
+    track.gate.release(1)
+    session.move_to(7.0)
+    assert session.state()["track"]["position_mm"] == pytest.approx(7.013)
+    session.start_scan()
+    for command in (
+        lambda: session.move_to(1.0),
+        lambda: session.switch_laser(True),
+        session.take_board,
+        session.resume_scan,
+    ):
+        with pytest.raises(NotNow, match="a scan is going on"):
+            command()
 
 
 def test_the_laser_is_switched_where_the_track_can_and_off_at_the_end(

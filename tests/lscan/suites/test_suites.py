@@ -104,9 +104,15 @@ def test_layers_of_another_size_are_refused(folder, tmp_path, shape):
 @pytest.fixture(scope="module")
 def boards(tmp_path_factory):
     """A suite's folder with boards, and the cases that it was written of."""
-    made = tmp_path_factory.mktemp("boards") / "boards"
-    made.mkdir()
+    made = tmp_path_factory.mktemp("boards")
     return made, suite_cases.board_suite(made)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory):
+    """A suite's folder with scans, and the cases that it was written of."""
+    made = tmp_path_factory.mktemp("scans")
+    return made, suite_cases.scan_suite(made)
 
 
 def test_a_board_is_read_as_it_was_written(boards):
@@ -128,34 +134,6 @@ def test_a_board_is_read_as_it_was_written(boards):
             assert np.array_equal(case.marks.status, was.marks.status)
 
 
-@pytest.mark.parametrize(
-    ("member", "content", "said"),
-    [
-        ("map.csv", b"u_px,v_px\n", "no table of u_px, v_px, x_mm, z_mm"),
-        ("map.csv", b"u_px,v_px,x_mm,z_mm\n", "no table of a map"),
-        ("map.csv", b"u_px,v_px,x_mm,z_mm\n1,1,nan,1\n", "no table of a map"),
-        ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n", "differ in marks"),
-        ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n1,1,nan,1,0\n", "no table of marks"),
-        ("truth.csv", b"x_mm,z_mm,u_px,v_px,status\n1,1,1,1,99\n", "no table of marks"),
-        ("board.json", b"{}", "board.json: grid: field required"),
-        ("optics.json", b"[]", "optics.json: document: must be a table"),
-        ("picture.png", b"none", "is not an 8-bit"),
-    ],
-)
-def test_a_harmed_board_is_refused_by_its_member(boards, tmp_path, member, content, said):
-    """Though the manifest has the checksum of what is there."""
-    copy = _harmed(boards[0], tmp_path, f"board-000/{member}", content)
-    assert said in _refused(copy)
-
-
-@pytest.fixture(scope="module")
-def scans(tmp_path_factory):
-    """A suite's folder with scans, and the cases that it was written of."""
-    made = tmp_path_factory.mktemp("scans") / "scans"
-    made.mkdir()
-    return made, suite_cases.scan_suite(made)
-
-
 def test_a_scan_is_read_as_it_was_written(scans):
     """Places to half a unit of the last of four digits."""
     folder, written = scans
@@ -172,36 +150,44 @@ def test_a_scan_is_read_as_it_was_written(scans):
                 np.testing.assert_allclose(one, other, rtol=0, atol=5.1e-5)
 
 
-LINE_HEAD = b"x_mm,z_mm,height_dn,multiple,status\n"
+MARKS_HEAD, MAP_HEAD = b"x_mm,z_mm,u_px,v_px,status\n", b"u_px,v_px,x_mm,z_mm\n"
+LINE_HEAD, SLICES_HEAD = b"x_mm,z_mm,height_dn,multiple,status\n", b"x_mm,y_mm,z_mm,status\n"
 
 
 @pytest.mark.parametrize(
     ("member", "content", "said"),
     [
-        ("line.csv", LINE_HEAD, "differ in size"),
-        ("line.csv", LINE_HEAD + b"1,nan,1,0,0\n" * 160, "no table of a scan's truth"),
-        ("line.csv", LINE_HEAD + b"1,1,1,2,0\n" * 160, "no table of a scan's truth"),
-        ("line.csv", LINE_HEAD + b"1,1,1,0,99\n" * 160, "no table of a scan's truth"),
-        ("slices.csv", b"x_mm,y_mm,z_mm,status\nnan,1,1,7\n", "no table of a scan's truth"),
-        ("rig.json", b"[]", "rig.json: document: must be a table"),
-        ("rig.json", b"{", "rig.json: is not valid JSON"),
-        ("rig.json", b'{"camera": {}}', "camera.driver"),
-        ("frame-0001.png", b"none", "is not an 8-bit"),
-        ("picture.png", b"none", "is not an 8-bit"),
+        ("board-000/map.csv", b"u_px,v_px\n", "no table of u_px, v_px, x_mm, z_mm"),
+        ("board-000/map.csv", MAP_HEAD, "no table of a map"),
+        ("board-000/map.csv", MAP_HEAD + b"1,1,nan,1\n", "no table of a map"),
+        ("board-000/truth.csv", MARKS_HEAD, "differ in marks"),
+        ("board-000/truth.csv", MARKS_HEAD + b"1,1,nan,1,0\n", "no table of marks"),
+        ("board-000/truth.csv", MARKS_HEAD + b"1,1,1,1,99\n", "no table of marks"),
+        ("board-000/board.json", b"{}", "board.json: grid: field required"),
+        ("board-000/optics.json", b"[]", "optics.json: document: must be a table"),
+        ("board-000/picture.png", b"none", "is not an 8-bit"),
+        ("scan-000/line.csv", LINE_HEAD, "differ in size"),
+        ("scan-000/line.csv", LINE_HEAD + b"1,nan,1,0,0\n" * 160, "no table of a scan's truth"),
+        ("scan-000/line.csv", LINE_HEAD + b"1,1,1,2,0\n" * 160, "no table of a scan's truth"),
+        ("scan-000/line.csv", LINE_HEAD + b"1,1,1,0,99\n" * 160, "no table of a scan's truth"),
+        ("scan-000/slices.csv", SLICES_HEAD + b"nan,1,1,7\n", "no table of a scan's truth"),
+        ("scan-000/rig.json", b"[]", "rig.json: document: must be a table"),
+        ("scan-000/rig.json", b"{", "rig.json: is not valid JSON"),
+        ("scan-000/rig.json", b'{"camera": {}}', "camera.driver"),
+        ("scan-000/frame-0001.png", b"none", "is not an 8-bit"),
+        ("scan-000/picture.png", b"none", "is not an 8-bit"),
     ],
 )
-def test_a_harmed_scan_is_refused_by_its_member(scans, tmp_path, member, content, said):
+def test_a_harmed_board_or_scan_is_refused_by_its_member(
+    boards, scans, tmp_path, member, content, said
+):
     """Though the manifest has the checksum of what is there."""
-    copy = _harmed(scans[0], tmp_path, f"scan-000/{member}", content)
-    assert said in _refused(copy)
+    folder, _ = boards if member.startswith("board") else scans
+    assert said in _refused(_harmed(folder, tmp_path, member, content))
 
 
 def test_a_scan_that_lacks_a_picture_is_refused(scans, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(scans[0], copy)
-    of = open_suite(copy).content
-    members = {name: of.members[name] for name in of.members if "scan-000/frame-0001" not in name}
-    (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
+    copy = _harmed(scans[0], tmp_path, "scan-000/frame-0001.png", None)
     assert "member scan-000/frame-0001.png is missing" in _refused(copy)
 
 
@@ -212,11 +198,18 @@ def test_an_archive_has_the_same_bytes_each_time(folder, archive, tmp_path):
 
 
 def _harmed(folder, tmp_path, member, content):
-    """A copy of the suite one of whose members is other, and has the checksum of what is there."""
+    """A copy of the suite one of whose members is other, and has the checksum of what is there.
+
+    content: bytes, None for one that the manifest does not have.
+    """
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
-    (copy / member).write_bytes(content)
     of = open_suite(copy).content
-    members = {**of.members, member: member_sum(content)}
+    members = dict(of.members)
+    if content is None:
+        del members[member]
+    else:
+        (copy / member).write_bytes(content)
+        members[member] = member_sum(content)
     (copy / MANIFEST).write_bytes(manifest_bytes(of.model_copy(update={"members": members})))
     return copy
 
