@@ -22,6 +22,7 @@ of its own for each round).
 
 import os
 import random
+import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "PYTEST_XDIST_WORKER" in os.environ:  # as many of them render as there are cores
     os.environ.setdefault("LSCAN_THREADS", "1")
+# Tests send it, and a shell without job control begins with it ignored what it runs by "&".
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 # Tables of scattered light are made quickly; tests that judge them ask for photons of their own.
 os.environ.setdefault("LSCAN_PHOTONS", "131072")
 

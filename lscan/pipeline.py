@@ -14,7 +14,7 @@ import numpy as np
 from lscan.acquisition.run import Run
 from lscan.acquisition.scan import cores, in_order
 from lscan.board import read_board
-from lscan.board.kernels import compile_marks
+from lscan.board.loops import compile_marks
 from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.calibration.check import map_for_rig
 from lscan.calibration.maps.spline import compile_splines
@@ -32,8 +32,7 @@ from lscan.measure import (
     unmeasured_distances,
 )
 from lscan.records import BoardReading, Bytes, Floats, Length, Profile, Progress, Status, Surface
-from lscan.stripe.extract import extract_stripe
-from lscan.stripe.kernels import compile_lines
+from lscan.stripe.extract import compile_lines, extract_stripe
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
 from lscan.surface.alignment import KeptAlignment
 from lscan.surface.shaft import ShaftFit, calibrate_shaft, shaft_of, stack_about

@@ -3,7 +3,7 @@
 ``read_board`` (reader) goes through these modules: ``picture`` (grey values, negative, ground, the
 centre of a mark), ``search`` (the three first dots, and the adaptive search from dot to dot),
 ``lattice`` (which dot is which, the local map, is this the board?) and ``marks`` (rulers, named
-dots, rings).  What they do mark by mark is compiled in ``kernels``.
+dots, rings).  What they do mark by mark is compiled in ``loops``.
 """
 
 from lscan.board.drawing import draw_overlay

@@ -9,7 +9,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import label, map_coordinates, maximum_filter
 from scipy.spatial import cKDTree
 
-from lscan.board.kernels import disc_shifts, local_polynomials
+from lscan.board.loops import disc_shifts, local_polynomials
 from lscan.board.picture import BLUR_PX, BoardPicture
 from lscan.board.search import Nodes, expected_places, local_pitch, mean_beside
 from lscan.config.board import Board, Grid

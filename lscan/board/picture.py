@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from lscan.board.kernels import fit_marks
+from lscan.board.loops import fit_marks
 from lscan.config.rig import Channel
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask
@@ -153,7 +153,7 @@ def stand_alone(
 Image = NDArray[np.float32]
 
 BLUR_PX = 0.7  # typical of a sharp picture: lens and pixel
-SMALLEST_PX = 16  # as for cameras in rig.py
+SMALLEST_PX = 16  # as for cameras in config/rig.py
 CHANNELS = {"red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "grey": (0.299, 0.587, 0.114)}
 IMMERKAER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], dtype=np.float32)
 LARGE_PX = 3_000_000  # pixels: of a larger picture a smaller copy shows where things are; ours

@@ -11,7 +11,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from lscan.board.kernels import noise_by_level
 from lscan.board.lattice import (
     LocalMap,
     complete_nodes,
@@ -27,6 +26,7 @@ from lscan.board.lattice import (
     place_on_board,
     shift_of_discs,
 )
+from lscan.board.loops import noise_by_level
 from lscan.board.marks import Contrast, mark_status, read_ring, read_round_marks
 from lscan.board.picture import (
     IMMERKAER,

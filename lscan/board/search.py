@@ -12,12 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from lscan.board.kernels import (
-    brightest,
-    crosses,
-    means_of_known,
-    round_peaks,
-)
+from lscan.board.loops import brightest, crosses, means_of_known, round_peaks
 from lscan.board.picture import (
     WORKING_RADIUS_PX,
     BoardPicture,
@@ -38,7 +33,7 @@ NOISE_LIMIT = 6.0  # sigmas above the ground
 ELSEWHERE = 0.1  # of the box: a mark expected less far away would have been seen before
 SEARCH_STEPS = 4  # of Newton's: 1e-6 px from half a pixel away
 NEXT = ((0, 1), (0, -1), (1, 0), (-1, 0))
-STEPS_ON = [  # as kernels.means_of_known takes them
+STEPS_ON = [  # as loops.means_of_known takes them
     *((r, c, r, c, 2 * r, 2 * c) for r, c in NEXT),
     *((r, 0, 0, c, r, c) for r in (1, -1) for c in (1, -1)),
 ]

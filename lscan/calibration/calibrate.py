@@ -15,13 +15,7 @@ from lscan.calibration.maps.polynomial import box, terms
 from lscan.calibration.maps.spline import with_hidden_errors
 from lscan.calibration.marks import all_marks, found_marks, joined_marks, spacing_px, without
 from lscan.calibration.physical import BoardKnown, PhysicalMap
-from lscan.calibration.planemap import (
-    NOTHING_KNOWN,
-    NamedSolver,
-    PlaneMap,
-    SolvedMap,
-    find_solver,
-)
+from lscan.calibration.planemap import NOTHING_KNOWN, NamedSolver, PlaneMap, SolvedMap, find_solver
 from lscan.camera.posedboards import contradiction
 from lscan.camera.resection import MEDIAN, pixel_derivatives
 from lscan.config.plugins import others_versions
@@ -183,7 +177,7 @@ class Calibration:
     optics : OpticsSection, what was known of the camera beforehand
     software : str, name and version of the program that solved it
     outliers_mm : (K, 2) array, mm, (x, z) of marks that were found and left out, as they do not lie
-        where all others predict them (outliers.py)
+        where all others predict them (``outliers``)
 
     Examples
     --------
@@ -261,7 +255,7 @@ def calibrate(
 ) -> Calibration:
     """The plane map of a full name solved from a board reading.
 
-    Marks that do not lie where all others predict them are left out (outliers.py).
+    Marks that do not lie where all others predict them are left out (``outliers``).
 
     Parameters
     ----------

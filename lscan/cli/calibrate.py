@@ -19,12 +19,7 @@ from lscan.calibration.metric import solve as metric
 from lscan.calibration.metric.views import FittedView, load_views, read_views, write_overlays
 from lscan.camera.posedboards import CAMERA, contradiction
 from lscan.cli.console import MAPS, Json, Trust, note, progress_bar, require_folders, show, table
-from lscan.cli.inputs import (
-    note_water,
-    open_calibrated,
-    parse_corrections,
-    read_board_picture,
-)
+from lscan.cli.inputs import note_water, open_calibrated, parse_corrections, read_board_picture
 from lscan.config.board import Board
 from lscan.config.documents import check as check_section, read_document
 from lscan.config.rig import Known, inline_board

@@ -25,12 +25,7 @@ from lscan.records import (
     has_value,
 )
 from lscan.stripe import peaks
-from lscan.stripe.api import (
-    Extractor,
-    require_stripe,
-    smooths_along,
-    takes_integers,
-)
+from lscan.stripe.api import Extractor, require_stripe, smooths_along, takes_integers
 from lscan.stripe.corrections import correct_blur, smooth
 from lscan.stripe.picture import (
     PictureLines,
@@ -58,7 +53,7 @@ def extract_stripe(
     ``image`` itself (but not in ``background``); sigma_px grows with the clipped width, unless
     the extractor says SATURATED itself, having allowed for it.  AMBIGUOUS: the column holds
     several lines, and it is not known which is meant.  On a lit target sigma_px grows with the
-    contrast of the texture beside the line (edges.py).
+    contrast of the texture beside the line (peaks.py).
 
     Where the settings do not state the noise, sigma_px is at least what the centres are seen to
     scatter about their neighbours along the line.  Where they do, it grows if the light scatters
@@ -105,6 +100,19 @@ def extract_stripe(
     sigma_px = np.hypot(stripe.sigma_px, seen.light.shift_px / np.sqrt(3))
     stripe = replace(stripe, sigma_px=sigma_px)
     return replace(stripe, flux=peaks.core_flux(stripe, light))
+
+
+def compile_lines() -> None:
+    """Find lines in pictures of each kind, so that the loops are compiled for what follows."""
+    rows, columns = np.mgrid[:96, :128]
+    light = 150 * np.exp(-((rows - 40 - 0.1 * columns) ** 2) / 8)
+    light += np.random.default_rng(0).uniform(5, 10, rows.shape)
+    for square_px, contrast_dn in ((12, 0), (12, 80), (16, 80)):  # a lit target's, told from lines
+        board = contrast_dn * ((rows // square_px + columns // square_px) % 2)
+        picture = np.minimum(light + board, 255).astype(np.uint8)
+        for name in ("centroid", "gaussian", "ml", "steger"):
+            for dark in (None, np.zeros_like(picture)):
+                extract_stripe(picture, StripeSection(extractor=name, smooth_px=1.0), dark)
 
 
 class _SeenPicture(NamedTuple):
@@ -180,12 +188,14 @@ def _call_extractor(
     """What the extractor says, with the axis set; InputError where it is no extractor.
 
     An extractor may come from another package: it cannot write into the picture, and its result
-    is validated.
+    is validated.  Loops would be compiled once more for arrays that are read alone.
     """
     where = f"extractor {settings.extractor}"
     given: NDArray[Any] = image if takes_integers(extractor) else image.astype(np.float64)
+    if not extractor.__module__.startswith("lscan."):
+        given, clipped = _read_only(given), _read_only(clipped)
     try:
-        stripe = extractor(_read_only(given), settings, _read_only(clipped))
+        stripe = extractor(given, settings, clipped)
     except LscanError:
         raise
     except Exception as error:

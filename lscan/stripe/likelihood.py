@@ -8,6 +8,10 @@ from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, select
 from lscan.stripe.api import on_integers
 from lscan.stripe.fit import (
+    CENTRE,
+    LN_HEIGHT,
+    LN_WIDTH,
+    TILT,
     LineFit,
     LinePrior,
     LineSearch,
@@ -17,7 +21,6 @@ from lscan.stripe.fit import (
     parameters_of,
     scatter_of,
 )
-from lscan.stripe.kernels import CENTRE, LN_HEIGHT, LN_WIDTH, TILT
 from lscan.stripe.peaks import (
     FWHM,
     Peaks,

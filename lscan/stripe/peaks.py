@@ -9,15 +9,8 @@ from numpy.typing import NDArray
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Singles, Status, Stripe, has_value, select
-from lscan.stripe.kernels import (
-    crests_of,
-    find_spots,
-    linked_runs,
-    order_statistics,
-    pieces_of,
-    running_medians,
-    total_profile,
-)
+from lscan.stripe.loops.scatter import pieces_of, running_medians, total_profile
+from lscan.stripe.loops.spots import crests_of, find_spots, linked_runs, order_statistics
 
 # Values of a rank in the columns of a picture: the highest, and the median.
 

@@ -11,11 +11,7 @@ from lscan.config.rig import LineChannel, NoiseSection
 from lscan.errors import InputError
 from lscan.files.pictures import colour_shift_px
 from lscan.records import Axis, Bytes, Floats, GreyValues, Ints, Mask
-from lscan.stripe.kernels import (
-    core_variance,
-    count_second_differences,
-    shot_and_speckle,
-)
+from lscan.stripe.loops.scatter import core_variance, count_second_differences, shot_and_speckle
 
 # The noise of a picture: as the rig file states it, or estimated from that picture alone.
 #

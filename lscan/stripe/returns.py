@@ -13,7 +13,7 @@ from scipy.ndimage import convolve1d, uniform_filter1d
 
 from lscan.config.rig import StripeSection
 from lscan.records import Floats, GreyValues, Ints, Mask, Status, Stripe, has_value, select
-from lscan.stripe.kernels import best_path
+from lscan.stripe.loops.spots import best_path
 from lscan.stripe.peaks import (
     GAP,
     GROUND_PX,

@@ -23,7 +23,7 @@ import numpy as np
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Floats, GreyValues, Ints, Status, Stripe, has_value
 from lscan.stripe import peaks
-from lscan.stripe.kernels import end_doubts, third_differences, weighted_moments
+from lscan.stripe.loops.scatter import end_doubts, third_differences, weighted_moments
 from lscan.stripe.picture import robust_variance, stated_noise
 
 _REPEATED = 1 + 2 * (15**2 + 6**2 + 1**2) / 20**2

@@ -36,7 +36,7 @@ from lscan.version import __version__
 
 # Reading the NetCDF file of a surface: the few arrays wanted, each looked at before it is read.
 #
-# NetCDF-4 is HDF5, read as containers.py reads it.  NetCDF-3, a format of its own, refers to no
+# NetCDF-4 is HDF5, as files/containers.py reads it.  NetCDF-3, a format of its own, refers to no
 # other file, but may say that many arrays share the same bytes: they are mapped, not copied.
 
 

@@ -29,8 +29,8 @@ from scipy.ndimage import spline_filter1d
 from scipy.special import jv
 
 from lscan.config.rig import SheetSection
+from lscan.files.compiling import compiled_sums
 from lscan.records import Floats, Ints, Surface, has_value
-from lscan.stripe.kernels import compiled_sums
 from lscan.surface.alignment import shear
 
 # What a sheet of finite thickness makes of a target's relief: the height that its line shows.

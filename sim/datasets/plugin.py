@@ -1,6 +1,6 @@
 """Plugin of pytest: pictures of the tank rendered in a test, where the tank is installed.
 
-Loaded by every run of pytest where lscan is, as lscan.testing.plugin is.
+Loaded by every run of pytest where lscan is, as lscan.testing is.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def pytest_configure() -> None:
     """Refuse to go on where another package's plug-in has the name of one of lscan's."""
-    from lscan.testing.plugin import refuse_namesakes
+    from lscan.testing import refuse_namesakes
 
     refuse_namesakes()
 

@@ -49,13 +49,7 @@ from sim.studies.results import (
 )
 from sim.studies.rig.prepared import Prepared
 from sim.studies.rig.states import check_keys
-from sim.studies.running import (
-    RigSource,
-    StudyOptions,
-    StudyRunning,
-    prepared_of,
-    require_at_most,
-)
+from sim.studies.running import RigSource, StudyOptions, StudyRunning, prepared_of, require_at_most
 from sim.studies.studyfile import Study, Tier, load_study
 from sim.studies.tiers import (
     MOST_RUNS,

@@ -3,10 +3,7 @@
 import numpy as np
 from planeviews import View, paper_board, read_board
 
-from lscan.calibration.calibrate import (
-    Calibration,
-    calibrate,
-)
+from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.rig import OpticsSection
 
 BOARD = paper_board()

@@ -15,15 +15,7 @@ from places import PAPER_BOARD
 
 from lscan.calibration.physical import BoardKnown
 from lscan.config.board import Board, load_board
-from lscan.records import (
-    BoardReading,
-    Floats,
-    Mark,
-    Marks,
-    RingPoints,
-    RulerReading,
-    Status,
-)
+from lscan.records import BoardReading, Floats, Mark, Marks, RingPoints, RulerReading, Status
 
 PAPER_BOARD = PAPER_BOARD
 

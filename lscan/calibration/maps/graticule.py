@@ -370,7 +370,7 @@ class Graticule(SolvedMap):
     transposed : bool, whether the lines are of the picture with u and v exchanged, as those of a
         board are whose rows run down the picture
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (calibration/planemap.py)
 
     References
     ----------

@@ -119,7 +119,7 @@ class Polynomial(SolvedMap):
         products, i varying slowest
     covariances : tuple of array, mm², (K, K) of either
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (calibration/planemap.py)
 
     References
     ----------

@@ -77,7 +77,7 @@ class Projective(SolvedMap):
     h : (8,) array, of :class:`Homography`
     covariance : (8, 8) array, of h
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (calibration/planemap.py)
 
     References
     ----------

@@ -157,7 +157,7 @@ class Refractive(PhysicalMap):
         files
     outliers_mm : tuple of array, mm, (x, z) of the marks that the map does not rest on
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (unexplained.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (calibration/planemap.py)
 
     References
     ----------

@@ -3,7 +3,7 @@
 What a projective matrix (projective.py) leaves of x and of z is what lens and port bend:
 little, and gently.  That rest is fitted by a tensor-product cubic B-spline to the control
 points and to the marks of the rulers, with a penalty on its third derivatives whose weight
-cross-validation chooses (smoothing.py).  The matrix takes the perspective out, which no
+cross-validation chooses.  The matrix takes the perspective out, which no
 penalty on roughness should touch; third derivatives leave every quadratic free, and what
 remains of it is bent so little that the penalty costs next to nothing.
 
@@ -43,8 +43,8 @@ from lscan.camera.posedboards import priors_of
 from lscan.camera.resection import posed_boards
 from lscan.config.rig import OpticsSection
 from lscan.errors import BoardNotFound
+from lscan.files.compiling import compiled, compiled_sums
 from lscan.records import BoardReading, Floats
-from lscan.stripe.kernels import compiled, compiled_sums
 
 # Tensor-product cubic B-splines over the picture, and how rough such a surface is.
 
@@ -347,7 +347,7 @@ class Spline(SolvedMap):
     roots : tuple of array, mm, (K, M) of x and of z; root @ root.T stands for the covariance of the
         coefficients (_strongest)
     region : Region, px, where the map holds
-    lack_of_fit_mm : (2,) array, mm, of x and of z (solved.py)
+    lack_of_fit_mm : (2,) array, mm, of x and of z (calibration/planemap.py)
     """
 
     base: Projective

@@ -5,7 +5,7 @@ straight line, so that a view gives two numbers: how far its line lies off
 the sheet, and how it leans against it.  Errors of the board's pose and of the camera, which
 all points of a view share, are counted with those two numbers, not with each point.
 
-The plane that the most lines agree on (consensus.py) is the start.  From it on, lines are
+The plane that the most lines agree on is the start.  From it on, lines are
 judged by their own uncertainties, and by how well those hold among the lines that agree.
 """
 

@@ -142,7 +142,7 @@ def test_what_may_have_changed_enters_as_it_displaces(
     views = [Changed(**{**vars(VIEW), **change}) for change in changed]
     displaced = [solved.to_plane(view.project(POINTS)).xz_mm - POINTS for view in views]
     expected = np.sqrt((np.array(displaced) ** 2).sum(axis=0))
-    # Below 0 by the rounding of tables (pixeltable.py) where a change does not move a point.
+    # Below 0 by the rounding of tables (``pixel_table``) where a change does not move a point.
     more = np.sqrt(np.maximum(after.sigma_mm**2 - before.sigma_mm**2, 0.0))
     np.testing.assert_allclose(more, expected, rtol=0.02, atol=1e-3)
 

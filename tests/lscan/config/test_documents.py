@@ -9,14 +9,7 @@ from places import SCENES
 
 from lscan.camera.posedboards import LIMITS
 from lscan.config.board import Grid, load_board
-from lscan.config.documents import (
-    MOST_FILES,
-    by_content,
-    check,
-    merge,
-    named_files,
-    read_document,
-)
+from lscan.config.documents import MOST_FILES, by_content, check, merge, named_files, read_document
 from lscan.config.rig import CameraSection, OpticsSection, Rig, SheetSection
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError

@@ -11,15 +11,7 @@ from places import PAPER_BOARD
 from lscan.config.board import load_board
 from lscan.errors import MeasurementError
 from lscan.measure import diameters, distances, fit_circle, unmeasured_distances
-from lscan.records import (
-    BoardReading,
-    Floats,
-    Mark,
-    Marks,
-    PlanePoints,
-    RingPoints,
-    Status,
-)
+from lscan.records import BoardReading, Floats, Mark, Marks, PlanePoints, RingPoints, Status
 
 BOARD = load_board(PAPER_BOARD)
 SCALE = 0.8  # mm a pixel

@@ -127,7 +127,7 @@ def test_sigma_covers_the_errors_in_a_cameras_picture(name):
 
 
 def test_noise_that_is_stated_does_not_hide_errors_that_neighbours_share():
-    # Neighbours share their errors, over t = 1.5 px, but no coder's blocks are seen (coding.py).
+    # Neighbours share their errors, over t = 1.5 px, but no coder's blocks are seen (picture.py).
     # Of a line of w = 3 px the centre's variance is then 2 sqrt(pi) t (w² / (w² + t²))^1.5 times
     # that by independent pixels: sigma 1.95 times.
     rng = np.random.default_rng(8)

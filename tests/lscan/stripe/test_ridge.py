@@ -12,7 +12,7 @@ from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status
 from lscan.stripe import extract_stripe
 from lscan.stripe.peaks import crests, line_width
-from lscan.stripe.rules import steger
+from lscan.stripe.ridge import steger
 
 HEIGHT, WIDTH = 90, 150
 FEW = examples(12)

@@ -10,7 +10,7 @@ from scipy.stats import norm
 
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.stripe import extract_stripe, picture as noise, rules
-from lscan.stripe.kernels import CENTROID, RELATIVE, _centroid
+from lscan.stripe.loops.centre import CENTROID, RELATIVE, _centroid
 
 HEIGHT, WIDTH = 480, 640
 

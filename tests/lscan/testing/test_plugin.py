@@ -21,7 +21,7 @@ from places import ROOT
 from suite_cases import board_suite, drawn_suite, scan_suite
 
 from lscan.stripe import find_extractor
-from lscan.testing.plugin import UPDATE, pytest_configure
+from lscan.testing import UPDATE, pytest_configure
 
 EXAMPLE = ROOT / "examples" / "line-finder"
 LEAST_LINES = 15  # of a stranger's own test, at most
@@ -72,7 +72,7 @@ def run_as_command(package: Path, *arguments: str) -> tuple[int, str]:
 
 def _options(package: Path) -> list[str]:
     known = {entry.name for entry in entry_points(group="pytest11")}
-    plugin = [] if "lscan" in known else ["-p", "lscan.testing.plugin"]
+    plugin = [] if "lscan" in known else ["-p", "lscan.testing"]
     return [*plugin, "--lscan-suite", str(package.parent / "twelve")]
 
 

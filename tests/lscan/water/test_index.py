@@ -11,12 +11,7 @@ from lscan.camera.optics import FORMULA_SIGMA, stated_water
 from lscan.config.documents import check
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
-from lscan.water import (
-    air_index,
-    fresh_water_density,
-    iapws_index,
-    refractive_index,
-)
+from lscan.water import air_index, fresh_water_density, iapws_index, refractive_index
 
 # docs/explanation/physics.md, section 1, 650 nm: T, Quan & Fry at S 0, the same times air, and both
 # at S 35.

@@ -44,7 +44,7 @@ def ended(code: str) -> int:
 
 
 @given(count=st.integers(0, 100), seed=st.integers(0, 9))
-def test_kernels_read_the_same_numbers(count: int, seed: int) -> None:
+def test_loops_read_the_same_numbers(count: int, seed: int) -> None:
     """To 24 bits, as Dr.Jit's floats have; integers as they are."""
     numbers = np.random.default_rng(seed).normal(size=(3, count))
     whole = np.random.default_rng(seed).integers(0, 2**32, count)
@@ -60,7 +60,7 @@ def test_all_begin_where_a_cache_line_does(count: int) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="pages are forbidden as on Linux")
-def test_kernels_do_not_read_past_the_end() -> None:
+def test_loops_do_not_read_past_the_end() -> None:
     kinds = ("floats", "indices", "long_indices")
     assert ended("\n".join(f"({kind}({ODD}) + 1).numpy()" for kind in kinds)) == 0
 

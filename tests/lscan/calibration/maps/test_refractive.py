@@ -228,7 +228,7 @@ def draws(little_known: bool, trials: int) -> tuple[Refractive, ...]:
 
 @pytest.fixture
 def without_tables(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Uncertainties computed pixel by pixel, as the tables have them (test_pixeltable.py).
+    """Uncertainties computed pixel by pixel, as tables have them (test_pixeltable.py).
 
     To make a map's tables takes longer than to compute the few pixels that are asked for here.
     """
@@ -398,7 +398,7 @@ def test_what_was_found_is_stated_and_what_it_contradicts() -> None:
 
 def test_a_board_beside_the_sheet_shows_in_sigma() -> None:
     """[optics] board_offset_mm and its like reach the map, its sigma and its modes, but
-    not its lack of fit.  To what tables leave (pixeltable.py): 2 SHARE of the largest of a mode,
+    not its lack of fit.  To what tables leave (``pixel_table``): 2 SHARE of the largest of a mode,
     twice that of its square, in either map."""
     reading = read_board(BOARD, View().project, sigma_px=NOISE_PX)
     image = View().project(board_points(50, seed=13))

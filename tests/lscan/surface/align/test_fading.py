@@ -10,13 +10,7 @@ from scipy.special import ndtr
 
 from lscan.errors import MeasurementError
 from lscan.records import Floats
-from lscan.stripe.blurredstep import (
-    ROUNDS,
-    SETTLED_MM,
-    _next_state,
-    _Prior,
-    _within_bounds,
-)
+from lscan.stripe.blurredstep import ROUNDS, SETTLED_MM, _next_state, _Prior, _within_bounds
 from lscan.surface.edges import PLACE_SIGMA_MM, EdgeFit, FaceSamples, fit_fading
 
 WIDTH_MM = 0.9

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lscan.board import kernels
+from lscan.board import loops
 
 RNG = np.random.default_rng(59)
 GREY = RNG.normal(0, 30, (24, 30)).astype(np.float32)
@@ -28,7 +28,7 @@ ARGUMENTS: dict[str, tuple[Any, ...]] = {
 
 @pytest.mark.parametrize("name", ARGUMENTS)
 def test_a_loop_gives_what_it_gives_as_python(name: str) -> None:
-    loop, arguments = getattr(kernels, name), ARGUMENTS[name]
+    loop, arguments = getattr(loops, name), ARGUMENTS[name]
     found, expected = (some(*arguments) for some in (loop, getattr(loop, "py_func", loop)))
     several = isinstance(found, tuple)
     for one, other in zip(

@@ -11,7 +11,8 @@ from drawn_examples import examples
 from hypothesis import given, strategies as st
 from lines_drawn import drawn
 
-from lscan.stripe.kernels import best_path, linked_runs, weighted_moments
+from lscan.stripe.loops.scatter import weighted_moments
+from lscan.stripe.loops.spots import best_path, linked_runs
 
 ROWS = np.arange(4)
 
@@ -75,6 +76,71 @@ def test_moments_of_a_gaussian_line_are_known(kind: type) -> None:
 
 
 def test_loops_run_without_a_compiler_too() -> None:
-    code = "from lscan.stripe.kernels import compile_lines; compile_lines()"
+    code = (
+        "import lscan, numpy as np; image = np.zeros((40, 24), np.uint8)\n"
+        "image[13:18] = [[20], [120], [200], [120], [20]]\n"
+        "for name in ('max', 'gaussian', 'ml', 'steger'):\n"
+        "    stripe = lscan.extract_stripe(image, lscan.StripeSection(extractor=name))\n"
+        "    np.testing.assert_allclose(stripe.centre_px, 15, atol=1e-6)\n"
+    )
     environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
     subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=60)
+
+
+EVERY_KIND = """
+import gc
+from itertools import product
+
+import numpy as np
+from boards import View, render
+from numba.core.registry import CPUDispatcher
+from places import SCENES
+
+from lscan import StripeSection, calibrate, extract_stripe, read_board
+from lscan.board.loops import compile_marks
+from lscan.calibration.maps.spline import compile_splines
+from lscan.config.board import load_board
+from lscan.config.rig import NoiseSection
+from lscan.stripe.extract import compile_lines
+
+def compiled():
+    loops = [found for found in gc.get_objects() if isinstance(found, CPUDispatcher)]
+    return {f"{loop.py_func.__qualname__}{kinds}" for loop in loops for kinds in loop.signatures}
+
+compile_lines(), compile_marks(), compile_splines()
+before = compiled()
+rows, columns = np.mgrid[:120, :200]
+line = np.exp(-((rows - 55 - 0.1 * columns) ** 2) / 8)
+grain = np.random.default_rng(3).uniform(0, 6, line.shape)
+checks = 90 * ((rows // 16 + columns // 16) % 2)
+names = "max centroid centroid-relative gaussian ml blais-rioux centroid-squared smoothed-peak"
+dark = np.full(line.shape, 2, np.uint8)
+for light, under, name in product(
+    (150 * line, 500 * line, 0 * line), (grain, grain + checks), [*names.split(), "steger"]
+):
+    picture = np.minimum(light + under, 255).astype(np.uint8)
+    for settings, background in (
+        ({}, None), ({}, dark), ({"gamma": 2.2}, None), ({"axis": "rows"}, dark),
+        ({"noise": NoiseSection(read_dn=1.0)}, None), ({"line_width_px": 9.0}, None),
+        ({"smooth_px": 3.0, "blur_px": 1.0}, None), ({"returns": "first"}, dark),
+    ):
+        extract_stripe(picture, StripeSection(extractor=name, **settings), background)
+    extract_stripe(np.stack([picture] * 3, -1), StripeSection(extractor=name, channel="auto"))
+board = load_board(SCENES / "paper" / "calibration-board.toml")
+for options in ({}, {"channel": "green"}):
+    reading = read_board(render(board, View()), board, **options)
+for name in ("spline", "polynomial-3", "graticule-2"):
+    calibrate(reading, name).plane_map.to_plane(reading.grid.image_px[:3])
+print(compiled() - before)
+"""
+
+
+def test_what_is_compiled_beforehand_is_all_that_pictures_need() -> None:
+    """Or the first picture of each kind would wait for seconds, in every process of a read-only
+    installation."""
+    paths = os.pathsep.join(sys.path)
+    command = [sys.executable, "-c", EVERY_KIND]
+    done = subprocess.run(
+        command, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True
+    )
+    assert done.stdout == "set()\n", done.stdout + done.stderr

@@ -6,8 +6,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from lscan.files.compiling import compiled, compiled_sums
 from lscan.records import Floats, Ints, Mask
-from lscan.stripe.kernels import compiled, compiled_sums
 
 Grey: TypeAlias = NDArray[np.floating[Any]]
 Single: TypeAlias = NDArray[np.float32]

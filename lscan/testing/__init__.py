@@ -1,1 +1,0 @@
-"""What pytest offers once lscan is installed: fixtures of suites, and tests against a baseline."""
