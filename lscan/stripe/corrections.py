@@ -77,17 +77,29 @@ def correct_blur(stripe: Stripe, settings: StripeSection, light: GreyValues) -> 
     if light.ndim != 2 or len(light) != len(stripe.status):
         what, allowed = "is not of the stripe's length", f"({len(stripe.status)}, L)"
         raise InputError(what, where="light", value=light.shape, allowed=allowed)
-    run = pieces(stripe)
-    if (run < 0).all():
+    if (pieces(stripe) < 0).all():
         return stripe
-    spread = settings.blur_px**2 + PIXEL_VARIANCE
-    centre = _derivatives(stripe.centre_px, stripe.sigma_px, run)
-    flux = line_flux(stripe, light)
-    bright = _derivatives(flux, np.zeros_like(flux), run)
-    shift, sigma = _shift(centre, bright, spread)
+    parts, sigma = _shift(stripe, light, settings.blur_px**2 + PIXEL_VARIANCE)
+    shift = parts.sum(axis=0)
     sigma = np.where(np.isfinite(shift), sigma, settings.blur_px)
     moved = stripe.centre_px - np.where(np.isfinite(shift), shift, 0.0)
     return replace(stripe, centre_px=moved, sigma_px=np.hypot(stripe.sigma_px, sigma))
+
+
+def smoothing_doubt(stripe: Stripe, light: GreyValues, spread: float) -> Floats:
+    """(N,) px, standard uncertainty of centres for what smoothing along the line does to them.
+
+    The two parts of the shift add up or cancel, by how the line is read: a centroid moves by
+    s² (v''/2 + v' F'/F), a ridge, whose normal leans where its light rises, by
+    s² (v''/2 - v' F'/F).  They count as independent; 0 where the line is too short for either.
+
+    Parameters
+    ----------
+    stripe, light : as of ``correct_blur``
+    spread : float, px², variance of the smoothing
+    """
+    parts, sigma = _shift(stripe, light, spread)
+    return np.asarray(np.nan_to_num(np.sqrt((parts**2).sum(axis=0) + sigma**2)))
 
 
 def correction_gain(wave_rad_per_px: Floats | float, blur_px: float) -> Floats:
@@ -165,25 +177,25 @@ def _quadratics() -> tuple[Floats, Floats]:
     return powers, inverses
 
 
-def _shift(
-    centre: tuple[Floats, Floats], flux: tuple[Floats, Floats], spread: float
-) -> tuple[Floats, Floats]:
-    """(N,) displacement of the line by a blur of variance ``spread``, and its uncertainty, px.
+def _shift(stripe: Stripe, light: GreyValues, spread: float) -> tuple[Floats, Floats]:
+    """(2, N) displacement of the line by a blur of variance ``spread``, px, and its uncertainty.
 
-    centre, flux: as of ``_derivatives``.
+    By slope times change of brightness, and by concavity; NaN where the line is too short.
     """
-    (of_centre, centre_covariance), (of_flux, flux_covariance) = centre, flux
+    run, flux = pieces(stripe), line_flux(stripe, light)
+    of_centre, centre_covariance = _derivatives(stripe.centre_px, stripe.sigma_px, run)
+    of_flux, flux_covariance = _derivatives(flux, np.zeros_like(flux), run)
     _, slope, half_curvature = of_centre.T
     level, rise, half_bend = of_flux.T
     level = np.where(level > 0, level, np.nan)
     relative = rise / level
-    shift = spread * (slope * relative + half_curvature)
     by_centre = np.stack([np.zeros_like(slope), relative, np.ones_like(slope)], axis=-1)
     by_flux = np.stack([-slope * relative, slope, np.zeros_like(slope)], axis=-1) / level[:, None]
     variance = np.einsum("ni,nij,nj->n", by_centre, centre_covariance, by_centre)
     variance += np.einsum("ni,nij,nj->n", by_flux, flux_covariance, by_flux)
     next_term = spread**2 * half_curvature * 2 * half_bend / level
-    return shift, np.sqrt(spread**2 * variance + next_term**2)
+    parts = spread * np.array([slope * relative, half_curvature])
+    return parts, np.sqrt(spread**2 * variance + next_term**2)
 
 
 # Robust smoothing along the line, for those who want less scatter than resolution.
@@ -199,22 +211,24 @@ _FEWEST = 6  # neighbours, itself included: twice the three unknowns of a parabo
 _MAD = 1.4826  # of the median absolute deviation, for the standard deviation of a normal
 
 
-def smooth(stripe: Stripe, smooth_px: float) -> Stripe:
+def smooth(stripe: Stripe, smooth_px: float, shared_columns: int = 1) -> Stripe:
     """The stripe with each centre replaced by that of a parabola fitted to its neighbours.
 
     Every column has its own local quadratic regression, weighted by the distance, the columns' own
     sigma_px and Tukey's biweight of the residuals.  Neighbours beyond a gap or a jump (peaks.py)
     have no part in it, and a column with fewer than six stays as it is.
 
-    sigma_px is that of the regression, for columns that err independently: neighbours within
-    some smooth_px of each other then share most of their error, so the mean of n of them is
-    no better than that of n / (3.5 smooth_px).  It leaves out what a parabola cannot follow.
+    sigma_px is that of the regression, for columns whose errors are alike the less the farther
+    apart they are, and independent from ``shared_columns`` on.  Neighbours within some smooth_px
+    of each other then share most of their error, so the mean of n of them is no better than that
+    of n / (3.5 smooth_px).  It leaves out what a parabola cannot follow.
 
     Parameters
     ----------
     stripe : Stripe, px
     smooth_px : float, px, standard deviation of the Gaussian weight along the line; 0 changes
         nothing
+    shared_columns : int, 1: each column has errors of its own
 
     References
     ----------
@@ -230,19 +244,20 @@ def smooth(stripe: Stripe, smooth_px: float) -> Stripe:
     centre = np.where(near, stripe.centre_px[inside], 0.0)
     sigma = np.where(near, stripe.sigma_px[inside], 1.0)
     weight = np.where(near, np.exp(-0.5 * (step / smooth_px) ** 2), 0.0) / sigma**2
-    place, spread = _local_parabola(step / smooth_px, centre, sigma, weight, near)
+    alike = np.maximum(1 - np.abs(step - step[:, None]) / shared_columns, 0.0)
+    place, spread = _local_parabola(step / smooth_px, centre, sigma, weight, near, alike)
     centre_px, sigma_px = stripe.centre_px.copy(), stripe.sigma_px.copy()
     centre_px[fitted], sigma_px[fitted] = place, spread
     return replace(stripe, centre_px=centre_px, sigma_px=sigma_px)
 
 
 def _local_parabola(
-    step: Floats, centre: Floats, sigma: Floats, weight: Floats, near: Mask
+    step: Floats, centre: Floats, sigma: Floats, weight: Floats, near: Mask, alike: Floats
 ) -> tuple[Floats, Floats]:
     """Value and standard uncertainty, (K,) each in px, of K parabolas in their middles.
 
     step: (n,) distance of the neighbours.  centre, sigma, weight: (K, n), px, px and px^-2.
-    near: (K, n) mask of the neighbours there are.
+    near: (K, n) mask of the neighbours there are.  alike: (n, n) correlation of their errors.
     """
     powers = step[:, None] ** np.arange(3)
     robust = np.ones_like(weight)
@@ -260,5 +275,6 @@ def _local_parabola(
         robust = np.square(np.maximum(1 - ratio**2, 0.0))
     value = (influence * centre).sum(axis=1)
     # Where columns scatter by more than they say, it is their scatter that is carried on.
-    variance = np.square(influence * sigma).sum(axis=1) * np.maximum(scale[:, 0], 1.0) ** 2
+    pulled = influence * sigma
+    variance = (pulled @ alike * pulled).sum(axis=1) * np.maximum(scale[:, 0], 1.0) ** 2
     return value, np.sqrt(variance)

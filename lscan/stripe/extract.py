@@ -94,11 +94,12 @@ def extract_stripe(
     stripe = _mark_saturated(stripe, clipped.T, seen.light.white, known.span_px)
     stripe = withhold(stripe, seen.chosen.ambiguous)
     stripe = _doubt_by_target(stripe, seen)
-    stripe = at_least_seen((stripe, light, seen.chosen.crest), known, smooths_along(extractor))
-    stripe = smooth(correct_blur(stripe, known, light), known.smooth_px)
+    along = at_least_seen((stripe, light, seen.chosen.crest), known, smooths_along(extractor))
+    stripe = correct_blur(along.stripe, known, light)
+    stripe = smooth(stripe, known.smooth_px, along.shared_columns)
     # Anywhere up to that on either side: a rectangular distribution (GUM 4.3.7).
-    sigma_px = np.hypot(stripe.sigma_px, seen.light.shift_px / np.sqrt(3))
-    stripe = replace(stripe, sigma_px=sigma_px)
+    doubt_px = np.hypot(along.doubt_px, seen.light.shift_px / np.sqrt(3))
+    stripe = replace(stripe, sigma_px=np.hypot(stripe.sigma_px, doubt_px))
     return replace(stripe, flux=peaks.core_flux(stripe, light))
 
 

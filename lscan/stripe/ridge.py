@@ -39,8 +39,8 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
 
     sigma_px is the pixels' noise carried through the derivative of the crossing: reading
     noise, photons and speckle of ``settings.noise``, or what picture.py estimates.
-    Neighbouring columns share their noise over about a line's width.  What is smoothed away where
-    the line bends within its own width is no part of sigma_px.
+    Neighbouring columns share their noise over about a line's width.  What smoothing does where the
+    line bends, or slopes and changes its brightness, ``extract_stripe`` adds (scatter.py).
 
     Parameters
     ----------

@@ -23,6 +23,7 @@ import numpy as np
 from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Floats, GreyValues, Ints, Status, Stripe, has_value
 from lscan.stripe import peaks
+from lscan.stripe.corrections import smoothing_doubt
 from lscan.stripe.loops.scatter import end_doubts, third_differences, weighted_moments
 from lscan.stripe.picture import robust_variance, stated_noise
 
@@ -37,6 +38,8 @@ _FEWEST_DIFFERENCES = 32  # third differences
 _WIDTHS = 3.0  # of the line: extractors that smooth along it do so over its width
 _SPANS = 8  # stretches as long as the lag, of columns that share errors: sigma to a third
 _FINEST_PX = 1.5  # a narrower window lets the raster of the pixels through
+_FINEST_SMOOTHED_PX = 1.0  # nothing finer smooths the pixels' raster away
+_SHARED = 2 * np.sqrt(np.pi)  # widths of a Gaussian that smooths: the sum of its autocorrelation
 _INSIDE = (4, 12)  # columns from an end, beyond which it is not blurred
 
 
@@ -46,10 +49,23 @@ picture that entry i of the stripe was found in; and (N,), px, where each of tho
 """
 
 
-def at_least_seen(seen: SeenLine, settings: StripeSection, smooths: bool = False) -> Stripe:
-    """The stripe with sigma_px enlarged to what their centres scatter about their neighbours.
+class SeenScatter(NamedTuple):
+    """A stripe whose sigma_px is what each column errs by itself, and what columns share.
 
-    Near the ends of a sloping line it also grows by what a blur that is not stated may do.
+    Attributes
+    ----------
+    stripe : Stripe, px, of N entries
+    doubt_px : (N,) array, px, standard uncertainty of what moves neighbours alike
+    shared_columns : int, columns over which the errors in sigma_px are shared; 1: none are
+    """
+
+    stripe: Stripe
+    doubt_px: Floats
+    shared_columns: int
+
+
+def at_least_seen(seen: SeenLine, settings: StripeSection, smooths: bool = False) -> SeenScatter:
+    """The stripe with sigma_px enlarged to what their centres scatter about their neighbours.
 
     One factor for the columns that are OK and one for those SATURATED, never below 1.
 
@@ -58,25 +74,33 @@ def at_least_seen(seen: SeenLine, settings: StripeSection, smooths: bool = False
     it.  That judges the noise which is stated, and not what an extractor makes of it; it is no more
     than what the centres scatter beyond sigma_px.
 
+    Columns share what a blur that is not stated may do near the ends of a sloping line, and what
+    the extractor's own smoothing along the line, as wide as the line, does to bends.
+
     Parameters
     ----------
     seen : SeenLine, of a picture
     settings : StripeSection, the line's width and the noise, as stated for the picture
-    smooths : bool, whether the centres' own scatter tells little, the extractor smoothing along
-        the line
+    smooths : bool, whether the extractor smooths along the line: the centres' own scatter tells
+        little then, and bends are displaced (corrections.py)
     """
-    stripe = seen[0]
+    stripe, lines, _ = seen
+    doubt = np.zeros(len(stripe.status))
     if np.count_nonzero(has_value(stripe.status)) < _FEWEST_DIFFERENCES:
-        return stripe
+        return SeenScatter(stripe, doubt, 1)
     light = light_moments(seen, settings.line_width_px)
+    shared = light.shared_columns(stripe)
     if settings.noise is None:
-        stripe = _widen_sigma(stripe, light)
+        widened = _widen_sigma(stripe, light, shared)
     else:
-        stripe = _widen_beyond_stated(seen, light, settings.noise, smooths)
+        widened = _widen_beyond_stated(seen, light, settings.noise, smooths)
     if settings.blur_px is None:
-        sigma_px = np.hypot(stripe.sigma_px, _end_doubt(stripe, light))
-        stripe = replace(stripe, sigma_px=sigma_px)
-    return stripe
+        doubt = _end_doubt(stripe, light)
+    if smooths:
+        smoothed_px = max(light.line_px, _FINEST_SMOOTHED_PX)
+        doubt = np.hypot(doubt, smoothing_doubt(widened, lines, smoothed_px**2))
+        shared = max(shared, int(np.ceil(_SHARED * smoothed_px)))
+    return SeenScatter(widened, doubt, shared)
 
 
 def _end_doubt(stripe: Stripe, light: "LightMoments") -> Floats:
@@ -93,9 +117,9 @@ def _end_doubt(stripe: Stripe, light: "LightMoments") -> Floats:
     return np.nan_to_num(end_doubts(*found, *_INSIDE))
 
 
-def _widen_sigma(stripe: Stripe, light: "LightMoments") -> Stripe:
+def _widen_sigma(stripe: Stripe, light: "LightMoments", lag: int) -> Stripe:
     """The stripe with sigma_px enlarged to its own scatter."""
-    run, lag, sigma_px = light.pieces(stripe), light.shared_columns(stripe), stripe.sigma_px.copy()
+    run, sigma_px = light.pieces(stripe), stripe.sigma_px.copy()
     for status in (Status.OK, Status.SATURATED):
         kept = stripe.status == status
         if np.count_nonzero(kept) > _FEWEST_DIFFERENCES:

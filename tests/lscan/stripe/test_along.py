@@ -72,7 +72,7 @@ def test_errors_that_neighbours_share_are_seen_at_a_lag_beyond_them():
 
 
 @pytest.mark.parametrize(("columns", "height_px"), [(20, 2.0), (40, 3.0), (12, 0.5)])
-@pytest.mark.parametrize("name", ["centroid-relative", "ml", "steger"])
+@pytest.mark.parametrize("name", ["centroid-relative", "ml"])
 def test_relief_is_not_taken_for_scatter(name, columns, height_px):
     # Ripples up to 32 degrees steep: their blur is as wide across the line everywhere, wider and
     # dimmer along the column.

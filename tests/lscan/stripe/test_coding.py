@@ -105,3 +105,14 @@ def test_sigma_holds_the_shift_of_half_colours_and_the_trial_says_it(channel, sh
     grabs = (Grab(np.roll(image, turn, axis=0), float(turn), 1.0) for turn in count())
     said = try_camera(SimpleNamespace(grab=lambda: next(grabs)), 4, "red").remarks
     assert sum("two pixels share one" in remark for remark in said) == 1
+
+
+def test_smoothing_of_a_coded_picture_knows_that_neighbours_share_their_errors():
+    """Blocks of 8 pixels, 16 of colours: where columns counted as independent, 70 % were within."""
+    settings = ESTIMATED.model_copy(update={"smooth_px": 4.0})
+    within = []
+    for seed in range(12):
+        centre, picture = picture_of(seed)
+        stripe = extract_stripe(coded(picture), settings)
+        within.append(np.nanmean(np.abs(stripe.centre_px - centre) < 1.96 * stripe.sigma_px))
+    assert np.mean(within) > 0.93

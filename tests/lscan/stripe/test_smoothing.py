@@ -51,6 +51,20 @@ def test_sigma_is_the_scatter_of_what_is_left(seed, smooth_px):
     assert (smoothed.sigma_px[20:-20] < sigma.mean()).all()
 
 
+@pytest.mark.parametrize("shared", [1, 4, 10])
+def test_sigma_is_the_scatter_where_columns_share_their_errors(shared):
+    """By moving means of white noise, whose autocorrelation falls linearly to 0."""
+    rng, pulls = np.random.default_rng(7), []
+    for _ in range(80):
+        noise = rng.normal(0, 0.1, N + shared - 1)
+        error = np.convolve(noise, np.ones(shared) / np.sqrt(shared), "valid")
+        smoothed = smooth(stripe_of(40 + error, 0.1), 5.0, shared)
+        pulls.append((smoothed.centre_px - 40) / smoothed.sigma_px)
+    # 80 lines of some 11 independent values each: a mean square known to 5 %, twice that allowed.
+    # Below, twice as much: chance makes the scatter of some 18 neighbours larger, never smaller.
+    assert 0.8 < np.mean(np.square(pulls)) < 1.1
+
+
 def test_columns_that_scatter_more_than_they_state_are_believed_no_more():
     """A third of the scatter stated: the smoothed sigma is that of columns that state all of it."""
     rng = np.random.default_rng(5)
