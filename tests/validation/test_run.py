@@ -2,6 +2,7 @@
 
 import json
 import os
+import pickle
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -141,6 +142,8 @@ def test_a_theme_names_its_chapters(theme: str, tmp_path: Path) -> None:
     quick = module.chapters(Request(SCENES, tmp_path, quick=True))
     assert whole and set(quick) <= set(whole)
     assert all(map(callable, whole.values()))
+    if THEMES[theme].side_by_side:
+        pickle.dumps(whole)  # for the processes that measure them
 
 
 def test_a_theme_that_there_is_not_is_refused(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ def chapters(request: Request) -> Chapters:
         "level lines": partial(level_rows, quick),
         "exposures": partial(exposure_rows, quick),
         "other water": partial(water_interval_rows, 2 if quick else 20),
-        "maps of one board": lambda: list(map_rows(4 if quick else 40)),
+        "maps of one board": partial(map_rows, 4 if quick else 40),
         "views of a board": partial(metric_rows, quick),
         "rough surfaces": partial(rough_rows, quick),
     }

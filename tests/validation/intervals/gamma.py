@@ -1,5 +1,6 @@
 """The grooved block seen by a camera with a tone curve that the rig states."""
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from lscan.config.plugins import installed
 from lscan.config.targets import GroovedBlock
+from lscan.errors import MeasurementError
 from lscan.measure import groove_dimensions
 from lscan.records import Length
 from lscan.stripe import extract_stripe
@@ -43,7 +45,7 @@ def gamma_rows(scenes: Path, quick: bool) -> list[Row]:
     tank, places = Tank(scene), scene.rig.plan.positions_mm()
     layers, block = [tank.render(place) for place in places], scene.rig.workpiece
     assert isinstance(block, GroovedBlock)
-    found: dict[tuple[float, str], list[Length]] = {}
+    found: dict[tuple[float, str], dict[int, list[Length]]] = {}
     for gamma in (LINEAR, 2.2) if quick else CURVES:
         curved = scene.with_tank(sensor={"gamma": gamma})
         for seed, calibration in zip(seeds, solved, strict=True):
@@ -57,10 +59,17 @@ def gamma_rows(scenes: Path, quick: bool) -> list[Row]:
                 profiles = ScanReading(tuple(places), tuple(stripes)).profiles(
                     calibration.plane_map
                 )
-                table = groove_dimensions(profiles, block)
-                found.setdefault((gamma, name), []).extend(table.values())
+                # The brightest pixels of some scans scatter too much about the block's faces.
+                with suppress(MeasurementError):
+                    table = groove_dimensions(profiles, block)
+                    found.setdefault((gamma, name), {})[seed] = list(table.values())
     rows = []
-    for (gamma, name), lengths in found.items():
+    for (gamma, name), scans in found.items():
+        linear = found.get((LINEAR, name), {})
+        both = [seed for seed in scans if seed in linear]
+        lengths = [one for seed in both for one in scans[seed]]
+        if not lengths:
+            continue
         error, sigma = np.array([(one.error_mm, one.sigma_mm) for one in lengths]).T
         words: dict[str, Any] = {
             "seed": seeds[0],
@@ -69,7 +78,7 @@ def gamma_rows(scenes: Path, quick: bool) -> list[Row]:
             "lengths": len(lengths),
         }
         if gamma != LINEAR:
-            plain = np.array([one.error_mm for one in found[LINEAR, name]])
+            plain = np.array([one.error_mm for seed in both for one in linear[seed]])
             apart = float(np.sqrt(np.mean(((error - plain) / sigma) ** 2)))
             rows.append(row("curve-undone", apart, **words))
         if name == "ml":
