@@ -6,13 +6,14 @@ mapping of names to callables, each of which returns rows or a topic of the page
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from importlib.metadata import version
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Annotated
 
@@ -114,7 +115,7 @@ def _side_by_side(
     """The topics of all chapters in their order, each measured in a process of its own."""
     names, topics = list(chapters), dict[str, Topic]()
     workers = max(1, min(len(chapters), cores()))
-    with ProcessPoolExecutor(workers, SPAWNED, partial(share_threads, workers)) as pool:
+    with processes(workers) as pool:
         futures: dict[Future[Topic], str] = {
             pool.submit(topic_of, name, chapter): name for name, chapter in chapters.items()
         }
@@ -129,6 +130,23 @@ def _side_by_side(
 
 
 SPAWNED = get_context("spawn")  # not forked: Dr.Jit's threads do not survive a fork
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Processes that end at once where this one is stopped, whatever they measure.
+
+    Parameters
+    ----------
+    workers : int
+    """
+    with ProcessPoolExecutor(workers, SPAWNED, partial(share_threads, workers)) as pool:
+        try:
+            yield pool
+        except BaseException:  # without its processes the pool is broken, and waits for none
+            for process in active_children():
+                process.terminate()
+            raise
 
 
 def share_threads(workers: int) -> None:
@@ -153,7 +171,7 @@ def run_themes(
             with progress_bar(name) as of_theme:
                 found[name] = run_theme(name, request, output, of_theme)
         return found
-    with ProcessPoolExecutor(workers, SPAWNED, partial(share_threads, workers)) as pool:
+    with processes(workers) as pool:
         futures = {pool.submit(run_theme, name, request, output): name for name in names}
         for done, future in enumerate(as_completed(futures), start=1):
             found[futures[future]] = future.result()

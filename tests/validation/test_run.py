@@ -3,14 +3,18 @@
 import json
 import os
 import pickle
+import time
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 
 import pytest
 from click.testing import Result
 from places import SCENES
+from served import LONG_S
 from typer.testing import CliRunner
 
 from lscan.cli.console import run_command_line
@@ -22,7 +26,7 @@ from tests.validation.instrument import chapters as instrument
 from tests.validation.instrument.photographs import photograph_rows
 from tests.validation.light import chapters as light
 from tests.validation.rows import Chapters, Request, Row, ScenePicture, Topic, rows_of
-from tests.validation.run import THEMES, page_of, run_theme
+from tests.validation.run import THEMES, page_of, processes, run_theme
 
 
 def row(figure: float, bar: float = 1.0, **changes: Any) -> Row:
@@ -122,6 +126,17 @@ def test_chapters_side_by_side_keep_their_order(
     assert [one.passed for one in rows[:1]] == [False] and "no number" in rows[0].error
     written = json.loads((output / "instrument.json").read_text())
     assert [entry["what"] for entry in written] == [one.what for one in rows]
+
+
+def test_chapters_in_processes_end_where_the_run_is_stopped() -> None:
+    """Those that wait, too: each would take minutes."""
+    with pytest.raises(KeyboardInterrupt), processes(1) as pool:
+        waiting = [pool.submit(time.sleep, LONG_S) for _ in range(3)]
+        while not waiting[0].running():
+            time.sleep(0.01)
+        raise KeyboardInterrupt
+    assert all(isinstance(one.exception(), BrokenProcessPool) for one in waiting)
+    assert not active_children()
 
 
 class WithoutArguments:
