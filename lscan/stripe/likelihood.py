@@ -163,7 +163,8 @@ class _LitColumns:
 
 def _lit_columns(image: GreyValues, settings: StripeSection, clipped: Mask) -> _LitColumns | Stripe:
     """The columns with a line, or the stripe itself where there are none."""
-    columns, lost = np.ascontiguousarray(image.T), np.ascontiguousarray(clipped.T)
+    # Writable: loops would be compiled once more for what a stranger may read alone.
+    columns, lost = np.require(image.T, None, ["C", "W"]), np.ascontiguousarray(clipped.T)
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
         return stripe

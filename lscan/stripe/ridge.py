@@ -54,7 +54,7 @@ def steger(image: GreyValues, settings: StripeSection, clipped: Mask) -> Stripe:
     C. Steger, "An unbiased detector of curvilinear structures", IEEE Trans. Pattern Anal. Mach.
     Intell. 20, 113 (1998).
     """
-    columns = np.ascontiguousarray(image.T)
+    columns = np.require(image.T, None, ["C", "W"])  # see likelihood.py
     base = medians(columns)
     peak = columns.max(axis=1) - base
     status = np.where(peak > settings.threshold_dn, int(Status.OK), int(Status.NO_PEAK))

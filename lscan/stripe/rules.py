@@ -189,7 +189,7 @@ def _centred(image: GreyValues, settings: StripeSection, clipped: Mask, rule: in
     wider than the span, whose crest is flat, has sigma_px too large.
     Fast where ``image.T`` is contiguous in memory.
     """
-    columns = np.ascontiguousarray(image.T)
+    columns = np.require(image.T, None, ["C", "W"])  # see likelihood.py
     stripe, peaks = nominal_peaks(columns, settings)
     if len(peaks.columns) == 0:
         return stripe

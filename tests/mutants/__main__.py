@@ -77,8 +77,8 @@ def listed(parts: Sequence[str] = ()) -> list[Mutant]:
 
 
 def copy_project(folder: Path) -> None:
-    """Copy what git tracks, as it is in the working tree, into a folder."""
-    for path in tracked(ROOT):
+    """Copy what git tracks, as it is in the working tree, and the compiled loops into a folder."""
+    for path in (*tracked(ROOT), *ROOT.glob("lscan/**/__pycache__/*.nb[ci]")):
         copy = folder / path.relative_to(ROOT)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(path, copy)

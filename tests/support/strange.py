@@ -25,8 +25,20 @@ HANG_S = 20
 LARGE = 2**40
 
 
+@pytest.fixture
+def little_memory_and_time(request: pytest.FixtureRequest) -> None:
+    """The test itself, but not what pytest says of it, has little of both."""
+    run = request.node.runtest
+
+    def limited() -> None:
+        with _little_memory_and_time():
+            run()
+
+    request.node.runtest = limited
+
+
 @contextmanager
-def little_memory_and_time() -> Iterator[None]:
+def _little_memory_and_time() -> Iterator[None]:
     """No more address space than there is now and MOST_MIB, and an alarm for who waits."""
 
     def hangs(*_: Any) -> None:
@@ -38,10 +50,12 @@ def little_memory_and_time() -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_AS, (limit, most))
     handler = signal.signal(signal.SIGALRM, hangs)
     signal.alarm(HANG_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, handler)
-    resource.setrlimit(resource.RLIMIT_AS, (before, most))
+    try:
+        yield
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, handler)
+        resource.setrlimit(resource.RLIMIT_AS, (before, most))
 
 
 def refusal(read: Callable[[], Any], name: str, said: str = "") -> None:

@@ -10,7 +10,7 @@ import json
 import struct
 import sys
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -83,10 +83,8 @@ FORMATS: dict[str, Read] = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _little_memory_and_time() -> Iterator[None]:
-    with strange.little_memory_and_time():
-        yield
+pytestmark = pytest.mark.usefixtures("little_memory_and_time")
+little_memory_and_time = strange.little_memory_and_time
 
 
 # ---- first attack: what is no such file ----------------------------------------------------------

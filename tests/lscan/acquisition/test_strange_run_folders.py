@@ -54,10 +54,8 @@ def scanning(copy: Path) -> Path:
     return copy
 
 
-@pytest.fixture(autouse=True)
-def _little_memory_and_time() -> Iterator[None]:
-    with strange.little_memory_and_time():
-        yield
+pytestmark = pytest.mark.usefixtures("little_memory_and_time")
+little_memory_and_time = strange.little_memory_and_time
 
 
 def sign(path: Path, rig: dict[str, Any] | None = None, **changes: Any) -> None:

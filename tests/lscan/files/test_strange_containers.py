@@ -13,7 +13,7 @@ import struct
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,10 +40,8 @@ Harm = Callable[[Path, Path], None]
 """What harms a copy of what is whole: its path, and that of a FIFO outside."""
 
 
-@pytest.fixture(autouse=True)
-def _little_memory_and_time() -> Iterator[None]:
-    with strange.little_memory_and_time():
-        yield
+pytestmark = pytest.mark.usefixtures("little_memory_and_time")
+little_memory_and_time = strange.little_memory_and_time
 
 
 # ---- data sets ------------------------------------------------------------------------------

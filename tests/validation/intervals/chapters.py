@@ -2,6 +2,7 @@
 
 from functools import partial
 
+from tests.validation.intervals.coded import coded_rows
 from tests.validation.intervals.gamma import gamma_rows
 from tests.validation.intervals.level import exposure_rows, level_rows
 from tests.validation.intervals.maps import map_rows
@@ -23,6 +24,7 @@ def chapters(request: Request) -> Chapters:
         "tone curves": partial(gamma_rows, request.scenes, quick),
         "level lines": partial(level_rows, quick),
         "exposures": partial(exposure_rows, quick),
+        "coded pictures": partial(coded_rows, quick),
         "other water": partial(water_interval_rows, 2 if quick else 20),
         "maps of one board": partial(map_rows, 4 if quick else 40),
         "views of a board": partial(metric_rows, quick),
