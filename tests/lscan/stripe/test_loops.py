@@ -129,7 +129,7 @@ for light, under, name in product(
     extract_stripe(np.stack([picture] * 3, -1), StripeSection(extractor=name, channel="auto"))
 for name in names.split():
     foreign = find_extractor(name)  # as an extractor of somebody's own would call it
-    for image in (picture, picture.astype(np.int16), picture.astype(float)):
+    for image in map(np.asfortranarray, (picture, picture.astype(np.int16))):
         image.flags.writeable = False
         foreign(image, StripeSection(), image >= 255)
 board = load_board(SCENES / "paper" / "calibration-board.toml")
