@@ -189,14 +189,12 @@ def _call_extractor(
     """What the extractor says, with the axis set; InputError where it is no extractor.
 
     An extractor may come from another package: it cannot write into the picture, and its result
-    is validated.  Loops would be compiled once more for arrays that are read alone.
+    is validated.
     """
     where = f"extractor {settings.extractor}"
     given: NDArray[Any] = image if takes_integers(extractor) else image.astype(np.float64)
-    if not extractor.__module__.startswith("lscan."):
-        given, clipped = _read_only(given), _read_only(clipped)
     try:
-        stripe = extractor(given, settings, clipped)
+        stripe = extractor(_read_only(given), settings, _read_only(clipped))
     except LscanError:
         raise
     except Exception as error:

@@ -66,7 +66,7 @@ def house_rows(root: Path = ROOT) -> list[HouseRow]:
         HouseRow(f"of these of less than {SMALL} lines", len(small), 40),
         HouseRow("modules of the fullest room", rooms[fullest], 12, str(fullest.relative_to(root))),
         HouseRow("modules at the root of lscan", len(at_root), 7, ", ".join(at_root)),
-        HouseRow("lines of code of lscan and sim", sum(code.values()), 45_372, str(code)),
+        HouseRow("lines of code of lscan and sim", sum(code.values()), 45_370, str(code)),
         HouseRow("of these lines of imports", imports, 3_860),
         HouseRow("lines of code of tests and validation", tests, 54_590),
         HouseRow("class names used more than once", len(twice), 0, ", ".join(twice)),
