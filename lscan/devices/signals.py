@@ -6,6 +6,8 @@ import weakref
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
+from lscan.errors import LscanError
+
 
 def _known_signals(*names: str) -> tuple[int, ...]:
     return tuple(getattr(signal, name) for name in names if hasattr(signal, name))
@@ -62,10 +64,13 @@ def interruption_kept() -> Iterator[None]:
     """Raise KeyboardInterrupt where a library made another error of it within the block.
 
     Mitsuba and Dr.Jit do, of what is raised while code of ours runs that they have called: as the
-    error's cause, or as no more than its name in what the error says.
+    error's cause, or as no more than its name in what the error says.  An error of lscan's own that
+    comes while the interruption is dealt with, as of a laser that stays lit, is left.
     """
     try:
         yield
+    except LscanError:
+        raise
     except Exception as error:
         behind: BaseException | None = error
         while behind is not None:

@@ -455,6 +455,14 @@ def test_one_interruption_at_a_time_and_another_once_it_is_gone() -> None:
     assert came == 2
 
 
+def test_an_error_while_an_interruption_is_dealt_with_is_what_is_told() -> None:
+    with pytest.raises(DeviceError, match="stays lit"), interrupted_by_signals():
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        finally:
+            raise DeviceError("the laser stays lit")
+
+
 def test_a_signal_that_is_held_acts_once_and_at_the_end() -> None:
     done = False
     with interrupted_by_signals(), pytest.raises(KeyboardInterrupt), stop_signals_held():
