@@ -1,5 +1,6 @@
 """Rows, a figure beside its bar each, and the topics and requests that they are measured for."""
 
+import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -149,7 +150,8 @@ class Topic:
     """One topic of the page.
 
     key: short name, unique on the page.  title: a few words.  text: what is compared and
-    why that convinces, two or three sentences.  figures, pictures: for the page.
+    why that convinces, two or three sentences.  figures, pictures: for the page.  seconds: how
+    long it took to measure.
     """
 
     key: str
@@ -158,6 +160,7 @@ class Topic:
     rows: tuple[Row, ...]
     figures: tuple[ReportFigure, ...] = ()
     pictures: tuple[ScenePicture, ...] = ()
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -243,12 +246,14 @@ def topic_of(name: str, chapter: Chapter) -> Topic:
     name : str, of the chapter
     chapter : callable, takes nothing and returns rows or a topic
     """
-    key, text = name.replace(" ", "-"), ""
+    key, text, started = name.replace(" ", "-"), "", time.perf_counter()
     try:
         found = chapter()
     except Exception as error:  # whatever it is, the other figures are still wanted
         found, text = [failed_row(name, error)], "It ended with an error and has no figures."
-    return found if isinstance(found, Topic) else Topic(key, name.capitalize(), text, tuple(found))
+    if not isinstance(found, Topic):
+        found = Topic(key, name.capitalize(), text, tuple(found))
+    return replace(found, seconds=found.seconds or time.perf_counter() - started)
 
 
 def failed_row(what: str, error: Exception) -> Row:

@@ -99,18 +99,19 @@ def run_theme(
     # In turn where a chapter would spoil what another measures of time; and in a quick run, for
     # to import and load the renderer anew takes longer than most of its chapters.
     if theme.side_by_side and not request.quick:
-        return _side_by_side(chapters, file, progress)
+        return _side_by_side(name, chapters, file, progress)
     topics = []
     for done, (chapter, measure) in enumerate(chapters.items(), start=1):
         topic = topic_of(chapter, measure)
         topics.append(replace(topic, rows=tuple(file.add(topic.rows))))
+        print(f"{name}, {chapter}: {topic.seconds:.0f} s", flush=True)
         if progress is not None:
             progress(done, len(chapters))
     return topics
 
 
 def _side_by_side(
-    chapters: Chapters, file: RowFile, progress: Progress | None = None
+    theme: str, chapters: Chapters, file: RowFile, progress: Progress | None = None
 ) -> list[Topic]:
     """The topics of all chapters in their order, each measured in a process of its own."""
     names, topics = list(chapters), dict[str, Topic]()
@@ -124,6 +125,7 @@ def _side_by_side(
             topic = topic_of(name, future.result)  # a process that died has no topic
             rows = file.add(topic.rows, names.index(name))
             topics[name] = replace(topic, rows=tuple(rows))
+            print(f"{theme}, {name}: {topic.seconds:.0f} s", flush=True)
             if progress is not None:
                 progress(done, len(chapters))
     return [topics[name] for name in names]
