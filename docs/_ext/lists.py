@@ -4,11 +4,10 @@ import re
 from collections.abc import Callable
 from importlib.metadata import entry_points
 
-import modelkeys
-
+from lscan.config.userfiles import descriptions
 from lscan.records import Status
 
-TEXTS = modelkeys.DESCRIPTIONS
+TEXTS = descriptions()
 
 
 def statuses() -> str:
@@ -26,7 +25,7 @@ def _plugins(group: str) -> str:
     texts = TEXTS[group]
     missing = sorted(set(names) - {re.split(r"[- ]", name)[0] for name in texts} - set(texts))
     if missing:
-        raise KeyError(f"docs/_ext/keys.toml, [{group}]: {', '.join(missing)}")
+        raise KeyError(f"lscan/config/keys.toml, [{group}]: {', '.join(missing)}")
     lines = ["| name | what it is |", "|---|---|"]
     return "\n".join([*lines, *(f"| `{name}` | {text} |" for name, text in texts.items())])
 

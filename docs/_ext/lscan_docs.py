@@ -10,11 +10,25 @@ import docstrings
 import drawing
 import gallery
 import lists
-import modelkeys
-import userfiles
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
+
+from lscan.config.userfiles import Section, as_markdown, find_file
+
+KINDS = "board", "rig", "scene", "shapes", "views", "study", "dataset", "suite", "catalogue"
+
+
+def sections_on(argument: str) -> list[Section]:
+    """The sections on a page: ``KIND``, but for those on the page of a kind before it, or
+    ``KIND TABLE``, those of one table."""
+    kind, _, table = argument.partition(" ")
+    before = [one for other in KINDS[: KINDS.index(kind)] for one in find_file(other).sections]
+    told = {(one.model, one.variant) for one in before}
+    if table:
+        return [one for one in find_file(kind).sections if one.name == table]
+    own = [one for one in find_file(kind).sections if (one.model, one.variant) not in told]
+    return [one for one in own if not one.name.endswith(".options")]
 
 
 class Generated(SphinxDirective):
@@ -43,14 +57,7 @@ class FileKeys(Generated):
     """``{file-keys} rig``: every section of a file with its keys."""
 
     def text(self, argument: str) -> str:
-        parts = []
-        for section in userfiles.FILES[argument]:
-            name = f"[[{section.name}]]" if section.repeated else f"[{section.name}]"
-            title = f"`{name}`" if section.name else "At the top of the file"
-            if section.variant:
-                title += f", {section.variant}"
-            parts.append(modelkeys.as_markdown(section, title, level=2))
-        return "\n".join(parts)
+        return "\n".join(map(as_markdown, sections_on(argument)))
 
 
 class Commands(Generated):

@@ -21,6 +21,7 @@ COMMANDS = {
     "calibrate-metric": "lscan.cli.calibrate:calibrate_metric",
     "calibrate-shaft": "lscan.cli.calibrate:calibrate_shaft",
     "scenes": "lscan.cli.scan:scenes",
+    "schema": "lscan.cli.schema:schema",
     "devices": "lscan.cli.devices:devices",
     "bench": "lscan.cli.bench:bench",
     "leaderboard": "lscan.cli.bench:leaderboard",

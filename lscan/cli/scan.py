@@ -9,6 +9,7 @@ from lscan.acquisition.writer import holds_no_run
 from lscan.cli.console import Json, keep_notes_when_stopped, note, progress_bar, show
 from lscan.config.rig import load_rig
 from lscan.config.scenes import copy_scenes, scene_about, scene_names
+from lscan.config.userfiles import name_schemas
 from lscan.errors import DeviceError, InputError
 
 
@@ -84,11 +85,15 @@ def scenes(
     copy: Path | None = Option(None, help="New folder to copy all scenes to."),
     json: Json = False,
 ) -> None:
-    """List the scenes, rigs and boards that come with lscan, or copy them to be edited."""
+    """List the scenes, rigs and boards that come with lscan, or copy them to be edited.
+
+    Each copy names its JSON schema in its first line, by which editors complete and check it.
+    """
     names = scene_names()
     if copy is None:
         words = [f"{name:26}{scene_about(name)}" for name in names]
     else:
         copy_scenes(copy)
+        name_schemas(copy)
         words = [f"{len(names)} scenes, rigs and boards in {copy}"]
     show({"scenes": names, "copied_to": copy}, *words, json=json)

@@ -16,18 +16,20 @@ sys.path.append(str(ROOT / "docs" / "_ext"))
 import commandline
 import drawing
 import lists
-import modelkeys
-import userfiles
+import lscan_docs
 import workspace
 
 from lscan.cli.app import app as instrument
+from lscan.config.userfiles import Section, as_markdown, descriptions, find_file, models_in, rows
 from lscan.records import Status
 from sim.cli.app import app as tank
 from tests.validation.light.gallery import scene_files
 
+PAGES = [*lscan_docs.KINDS, "scene camera.options", "scene track.options"]
+ALL = {page: lscan_docs.sections_on(page) for page in PAGES}
 SECTIONS = [
-    pytest.param(section, id=f"{name}-{section.label or 'file'}")
-    for name, found in userfiles.FILES.items()
+    pytest.param(section, id=f"{page}-{section.label or 'file'}")
+    for page, found in ALL.items()
     for section in found
 ]
 NOT_KEYS = {"status", *lists.GROUPS}
@@ -35,44 +37,44 @@ NOT_KEYS = {"status", *lists.GROUPS}
 
 
 @pytest.mark.parametrize("section", SECTIONS)
-def test_every_key_is_described(section: modelkeys.Section) -> None:
+def test_every_key_is_described(section: Section) -> None:
     """Each key is a row with a type and a default, or a table whose keys are described."""
-    text = modelkeys.as_markdown(section, "title")
-    described = {part.model for found in userfiles.FILES.values() for part in found}
+    text = as_markdown(section)
+    described = {part.model for found in ALL.values() for part in found}
     for key, info in section.model.model_fields.items():
-        models = modelkeys._models_in(info.annotation)
+        models = models_in(info.annotation)
         assert f"| `{info.alias or key}` |" in text or (models and set(models) <= described), key
-    for _, kind, _, _, default, _ in modelkeys.rows(section):
+    for _, kind, _, _, default, _ in rows(section):
         assert kind not in ("", "anything")
         assert default
 
 
 def test_no_key_is_described_that_there_is_not() -> None:
     keys: dict[str, set[str]] = {}
-    for found in userfiles.FILES.values():
+    for found in ALL.values():
         for section in found:
             keys.setdefault(section.label or "file", set()).update(section.model.model_fields)
-    for label, texts in modelkeys.DESCRIPTIONS.items():
+    for label, texts in descriptions().items():
         if label not in NOT_KEYS:
             assert label in keys, label
             assert set(texts) - {"_"} <= keys[label], label
 
 
 def test_bounds_unit_and_default_are_those_of_the_model() -> None:
-    plan = next(part for part in userfiles.FILES["rig"] if part.name == "plan")
-    rows = {row[0]: row for row in modelkeys.rows(plan)}
-    assert rows["frames"][:5] == ("frames", "whole number", "≥ 1, ≤ 1e+06", "", "`1`")
-    assert rows["step_mm"][:5] == ("step_mm", "number", "", "mm", "`0.5`")
-    assert rows["laser"][1] == '`"untouched"`, `"on"`, `"pairs"`'
+    plan = next(part for part in find_file("rig").sections if part.name == "plan")
+    by_key = {row[0]: row for row in rows(plan)}
+    assert by_key["frames"][:5] == ("frames", "whole number", "≥ 1, ≤ 1e+06", "", "`1`")
+    assert by_key["step_mm"][:5] == ("step_mm", "number", "", "mm", "`0.5`")
+    assert by_key["laser"][1] == '`"untouched"`, `"on"`, `"pairs"`'
 
 
 def test_every_status_and_method_is_described() -> None:
-    assert set(modelkeys.DESCRIPTIONS["status"]) == {status.name for status in Status}
+    assert set(descriptions()["status"]) == {status.name for status in Status}
     for table in lists.TABLES.values():
         assert table().count("\n") >= 2
     for group in lists.GROUPS:
         names = {entry.name for entry in entry_points(group=group) if lists._ours(entry.value)}
-        for text in modelkeys.DESCRIPTIONS[group]:
+        for text in descriptions()[group]:
             # Of plane maps a name goes on after its method's: "graticule-1".
             method = text.split("-")[0] if group == "lscan.planemaps" else text
             assert method in names, f"[{group}] {text}"
