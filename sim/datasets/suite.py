@@ -34,7 +34,8 @@ from sim.studies.executor import in_order, keep_identity, locked_folder, open_wo
 TRIED = 40  # combinations at random, of which the one that covers most new pairs becomes a case
 EXPOSED = {"camera": {"options"}, "sensor": None, "stripe": None, "lens": {"blur_px", "glare"}}
 """Sections, and of some the keys alone, that change a picture without its being rendered anew."""
-Values = Annotated[dict[Word, dict[str, Any]], Field(min_length=1)]
+Sections = dict[str, dict[str, Any]]
+Values = Annotated[dict[Word, Sections], Field(min_length=1)]
 Axes = dict[Word, Values]
 Combination = tuple[str, ...]  # a value on each axis
 Kind = Literal["case", "board", "scan"]
@@ -55,7 +56,7 @@ class CasesFile(Strict):
 
     scene: str
     pictures: Annotated[int, Field(ge=1, le=9999)]
-    base: dict[str, Any] = Field(default_factory=dict)
+    base: Sections = Field(default_factory=dict)
     render: Annotated[Axes, Field(min_length=1)]
     expose: Annotated[Axes, Field(min_length=1)]
 
