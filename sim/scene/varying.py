@@ -38,12 +38,13 @@ def number_at(scene: "Scene", key: str) -> float:
     InputError
         No number has that key.
     """
-    section, field, *component = key.split(".")
+    section, _, name = key.partition(".")
     model = _section(scene, section)
+    field, *component = name.split(".")
     value = getattr(model, field, None) if field in type(model).model_fields else None
-    if component and isinstance(value, tuple):
+    if len(component) == 1 and isinstance(value, tuple):
         index = component[0]
-        value = value[int(index)] if index.isdigit() and int(index) < len(value) else None
+        value = value[int(index)] if index.isdecimal() and int(index) < len(value) else None
     elif component:
         value = None
     if isinstance(value, bool) or not isinstance(value, int | float):

@@ -180,3 +180,11 @@ def test_a_scans_board_lies_in_the_sheet(tmp_path):
     )
     with pytest.raises(InputError, match="one line, that is on"):
         make_suite(load_suite_spec(file), tmp_path / "wrong.zip", workers="none")
+
+
+@pytest.mark.parametrize("place", ["base.plan", "render.port.flat", "expose.speckle.usual"])
+def test_a_section_of_a_case_is_a_table(tmp_path, place):
+    file, table = tmp_path / "wrong.toml", f"[scans.{place}]"
+    file.write_text(SCANS.replace(table, f"[scans.{place.removesuffix('.plan')}]\nsensor = 1.0"))
+    with pytest.raises(InputError, match=r"scans\.\w.*sensor: must be a table"):
+        load_suite_spec(file)

@@ -38,6 +38,11 @@ def test_what_was_put_in_comes_out_and_the_rest_stays(data: st.DataObject) -> No
         ("water.salt", "no number that can vary.*salinity_psu"),
         ("head.camera_mm", "no number.*camera_mm.0 to .2"),
         ("sensor.noise", "no number"),
+        ("", "no such section"),
+        ("head", "no number.*depression_deg"),
+        ("head.camera_mm.3", "no number"),
+        ("head.camera_mm.²", "no number"),
+        ("head.camera_mm.1.7", "no number"),
     ],
 )
 def test_what_is_no_number_is_refused(key: str, words: str) -> None:
