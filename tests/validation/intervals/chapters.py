@@ -7,7 +7,7 @@ from tests.validation.intervals.gamma import gamma_rows
 from tests.validation.intervals.level import exposure_rows, level_rows
 from tests.validation.intervals.maps import map_rows
 from tests.validation.intervals.metric import metric_rows
-from tests.validation.intervals.rough import rough_rows
+from tests.validation.intervals.rough import RESPONSES, lawless_rows, rough_rows
 from tests.validation.intervals.water import water_interval_rows
 from tests.validation.rows import Chapters, Request
 
@@ -20,7 +20,8 @@ def chapters(request: Request) -> Chapters:
     request : Request
     """
     quick = request.quick
-    return {
+    return {  # the longest first: they are measured side by side
+        **{f"rough surfaces, {told}": partial(rough_rows, quick, told) for told in RESPONSES},
         "tone curves": partial(gamma_rows, request.scenes, quick),
         "level lines": partial(level_rows, quick),
         "exposures": partial(exposure_rows, quick),
@@ -28,5 +29,5 @@ def chapters(request: Request) -> Chapters:
         "other water": partial(water_interval_rows, 2 if quick else 20),
         "maps of one board": partial(map_rows, 4 if quick else 40),
         "views of a board": partial(metric_rows, quick),
-        "rough surfaces": partial(rough_rows, quick),
+        "surfaces without a law": partial(lawless_rows, quick),
     }

@@ -51,38 +51,49 @@ FULL = LawEffort()
 QUICK = LawEffort(fields=2, side=32, simulated=40, exponents=(2.5, 3.8))
 
 
-def rough_rows(quick: bool) -> list[Row]:
-    """Coverage by response and by what is missing, false alarms, and what follows no law.
+def rough_rows(quick: bool, told: str) -> list[Row]:
+    """Coverage by what is missing, and false alarms, of surfaces that follow a power law.
+
+    Parameters
+    ----------
+    quick : bool, two fields of each in place of 100
+    told : str, which of RESPONSES the surfaces are seen by
+    """
+    effort, response, rows = QUICK if quick else FULL, RESPONSES[told], list[Row]()
+    unlike, trains, fields = 0, 0, 0
+    for missing in MISSING:
+        held = {"exponent": list[bool](), "strength": list[bool](), "rings": list[bool]()}
+        for law, patch in _patches(effort, missing, response):
+            fit = fit_power_law(patch, response=response, simulated=effort.simulated)
+            for name, each in _held(law, fit, response).items():
+                held[name] += each
+            unlike += fit.lack > 1
+            trains += find_ripples(patch, response=response) is not None
+            fields += 1
+        for name, every in held.items():
+            low, high = binomtest(sum(every), len(every)).proportion_ci(method="wilson")
+            percent = 100 * sum(every) / len(every)
+            rows.append(row(
+                "intervals-roughness", abs(percent - 95), seed=SEED, name=name, response=told,
+                missing=missing, percent=percent, low=100 * low, high=100 * high,
+                count=len(every), fields=effort.fields, side=effort.side,
+                exponents=", ".join(map(str, effort.exponents)),
+            ))  # fmt: skip
+    for name, count in (("a lack of fit", unlike), ("ripples", trains)):
+        rows.append(row("intervals-roughness-false", 100 * count / fields, seed=SEED, name=name,
+                        response=told, count=count, fields=fields))  # fmt: skip
+    return rows
+
+
+def lawless_rows(quick: bool) -> list[Row]:
+    """How many of the surfaces that follow no power law are refused or said to lack a fit.
 
     Parameters
     ----------
     quick : bool, two fields of each in place of 100
     """
-    effort, rows = QUICK if quick else FULL, list[Row]()
-    unlike, trains, fields = 0, 0, 0
-    for told, response in RESPONSES.items():
-        for missing in MISSING:
-            held = {"exponent": list[bool](), "strength": list[bool](), "rings": list[bool]()}
-            for law, patch in _patches(effort, missing, response):
-                fit = fit_power_law(patch, response=response, simulated=effort.simulated)
-                for name, each in _held(law, fit, response).items():
-                    held[name] += each
-                unlike += fit.lack > 1
-                trains += find_ripples(patch, response=response) is not None
-                fields += 1
-            for name, every in held.items():
-                low, high = binomtest(sum(every), len(every)).proportion_ci(method="wilson")
-                percent = 100 * sum(every) / len(every)
-                rows.append(row(
-                    "intervals-roughness", abs(percent - 95), seed=SEED, name=name, response=told,
-                    missing=missing, percent=percent, low=100 * low, high=100 * high,
-                    count=len(every), fields=effort.fields, side=effort.side,
-                    exponents=", ".join(map(str, effort.exponents)),
-                ))  # fmt: skip
-    for name, count in (("a lack of fit", unlike), ("ripples", trains)):
-        rows.append(row("intervals-roughness-false", 100 * count / fields, seed=SEED, name=name,
-                        count=count, fields=fields))  # fmt: skip
-    return rows + [_unlike_row(name, density, effort) for name, density in LAWLESS.items()]
+    effort = QUICK if quick else FULL
+    return [_unlike_row(name, density, effort) for name, density in LAWLESS.items()]
 
 
 def _patches(
