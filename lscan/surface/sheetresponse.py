@@ -96,10 +96,11 @@ def responses(
     pieces = np.stack(
         [(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3]
     )
-    places, (apex_x, apex_z) = first + beyond - 1, sight.to_apex
-    return _responses(
-        padded, places, pieces.T / 6, slope_x, sight.tau, sight.kappa, apex_x, apex_z, sigma_mm
-    )
+    # Each layout of an array would have the loop compiled once more.
+    arrays = padded, pieces.T / 6, slope_x, sight.tau, *sight.to_apex
+    whole, parts, slope, tau, apex_x, apex_z = map(np.ascontiguousarray, arrays)
+    places = first + beyond - 1
+    return _responses(whole, places, parts, slope, tau, sight.kappa, apex_x, apex_z, sigma_mm)
 
 
 @compiled_sums

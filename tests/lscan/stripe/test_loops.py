@@ -103,12 +103,13 @@ from lscan.calibration.maps.spline import compile_splines
 from lscan.config.board import load_board
 from lscan.config.rig import NoiseSection
 from lscan.stripe.extract import compile_lines
+from lscan.surface.sheetresponse import Sight, compile_reliefs, responses
 
 def compiled():
     loops = [found for found in gc.get_objects() if isinstance(found, CPUDispatcher)]
     return {f"{loop.py_func.__qualname__}{kinds}" for loop in loops for kinds in loop.signatures}
 
-compile_lines(), compile_marks(), compile_splines()
+compile_lines(), compile_marks(), compile_splines(), compile_reliefs()
 before = compiled()
 rows, columns = np.mgrid[:120, :200]
 line = np.exp(-((rows - 55 - 0.1 * columns) ** 2) / 8)
@@ -137,13 +138,18 @@ for options in ({}, {"channel": "green"}):
     reading = read_board(render(board, View()), board, **options)
 for name in ("spline", "polynomial-3", "graticule-2"):
     calibrate(reading, name).plane_map.to_plane(reading.grid.image_px[:3])
+for shape in ((3, 1), (4, 5)):
+    sight = Sight(np.zeros(shape), np.zeros(shape[1]), np.ones((2, *shape)))
+    for height in (np.zeros(shape), np.zeros(shape, order="F")):
+        responses(height, 0.5, 1.0, 0.7, sight)
 print(compiled() - before, {name for name in before if "'C', True, aligned" in name})
 """
 
 
-def test_what_is_compiled_beforehand_is_all_that_pictures_need() -> None:
-    """Or the first picture of each kind would wait for seconds, in every process of a read-only
-    installation.  Nor is a loop compiled once more for arrays that are read alone."""
+def test_what_is_compiled_beforehand_is_all_that_is_needed() -> None:
+    """Or the first picture of each kind, and the first relief, would wait for seconds, in every
+    process of a read-only installation.  Nor is a loop compiled once more for arrays that are read
+    alone."""
     paths = os.pathsep.join(sys.path)
     command = [sys.executable, "-c", EVERY_KIND]
     done = subprocess.run(
