@@ -21,9 +21,16 @@ from lscan.measure import scale_along_track
 from lscan.measure.shapes import ShapeMeasure, measure_shapes
 from lscan.pipeline import Reconstruction
 from lscan.records import Length, Surface, has_value
-from lscan.surface import load_surface, save_points, save_surface
+from lscan.surface import (
+    fitting_cell_mm,
+    grid_cells,
+    load_surface,
+    save_grid,
+    save_points,
+    save_surface,
+)
 from lscan.surface.alignment import load_alignment, save_alignment as keep_alignment
-from lscan.surface.files import require_storable
+from lscan.surface.files import GRIDS, require_storable
 
 ShaftFile = Annotated[
     Path | None, Option(help="TOML file with the [shaft] found; a run folder has its own.")
@@ -93,6 +100,44 @@ def reconstruct(
     aligned += "" if yaw_deg is None else f", yaw {yaw_deg:.3f} deg"
     aligned += "".join(f", corrected for {what}" for what in surface.corrections)
     show(content, f"{found} points in {frames} profiles{aligned}; {output}", json=json)
+
+
+def grid(
+    surface: Path = Argument(help="Surface (.nc)."),
+    output: Path = Option(
+        ..., "--output", "-o", help="Grid to write: .nc, .tif (GeoTIFF) or .asc (ESRI ASCII)."
+    ),
+    cell: float | None = Option(
+        None, help="Side of the cells, mm; by default the least of which few lack points."
+    ),
+    json: Json = False,
+) -> None:
+    """Write a surface's heights on a regular grid, for programs of maps and images.
+
+    Each height comes with its standard uncertainty and the number of its points; cells of too few
+    points, and those whose points do not enclose their middle, stay without.
+    """
+    require_folders(output)
+    if output.suffix.lower() not in GRIDS:
+        allowed = ", ".join(GRIDS)
+        raise InputError(
+            "no such kind of grid", where="--output", value=str(output), allowed=allowed
+        )
+    scanned = load_surface(surface)
+    found = grid_cells(scanned, fitting_cell_mm(scanned) if cell is None else cell)
+    rows, columns = found.status.shape
+    known = int(has_value(found.status).sum())
+    files = save_grid(output, found, scanned)
+    content = {
+        "files": files,
+        "frame": scanned.frame,
+        "cell_mm": found.cell_mm,
+        "rows": rows,
+        "columns": columns,
+        "heights": known,
+    }
+    words = f"{columns} x {rows} cells of {found.cell_mm:g} mm, {known} with a height"
+    show(content, f"{words}; {', '.join(map(str, files))}", json=json)
 
 
 def measure(

@@ -1,4 +1,4 @@
-"""Files of a surface: NetCDF (kept and read back) and PLY (points for other programs).
+"""Files of a surface: NetCDF (kept and read back), PLY (points) and grids for other programs.
 
 The same surface gives the same bytes.
 """
@@ -30,7 +30,9 @@ from lscan.files.containers import (
     unpack,
 )
 from lscan.files.disk import open_regular, read_bytes, write_atomically
+from lscan.files.rasters import Raster, esri_ascii_bytes, geotiff_bytes
 from lscan.records import Floats, Mask, Provenance, Status, Surface, has_value
+from lscan.surface.grid import HeightGrid
 from lscan.surface.surface import StoredProvenance
 from lscan.version import __version__
 
@@ -452,8 +454,13 @@ def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]
         arrays["modes"] = NetcdfArray((*DIMENSIONS, "axis", "mode"), surface.modes_mm, modes)
     track = {"long_name": "track position of the profile", **LENGTH}
     arrays["position"] = NetcdfArray(DIMENSIONS[:1], surface.position_mm, track)
+    return arrays, _notes("Surface", surface)
+
+
+def _notes(what: str, surface: Surface) -> dict[str, Any]:
+    """The attributes of a file made from a surface."""
     notes: dict[str, Any] = {
-        "title": "Surface measured by a laser line scanner",
+        "title": f"{what} measured by a laser line scanner",
         "source": f"laser line scanner, lscan {__version__}",
         "frame": surface.frame,
         "corrections": SEPARATOR.join(surface.corrections),
@@ -463,4 +470,88 @@ def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]
         notes["yaw_sigma_deg"] = float(np.degrees(surface.yaw_sigma_rad))
     if surface.provenance is not None:
         notes |= asdict(surface.provenance)
-    return arrays, notes
+    return notes
+
+
+# Files of a regular grid, for programs of maps and images.
+
+
+GRIDS = (".nc", ".tif", ".tiff", ".asc")
+_HEIGHT, _SIGMA, _COUNT = "height z, mm", "standard uncertainty of z, mm", "points of the cell"
+
+
+def save_grid(path: Path | str, grid: HeightGrid, surface: Surface) -> list[Path]:
+    """Write a grid of heights, their uncertainties and the points of each cell, by the suffix.
+
+    ``.nc``: NetCDF-4 after the CF conventions 1.11, x and y as axes of their own; what calibration
+    gives to all heights in common is told apart, as ``sigma_calibration``.  ``.tif``: GeoTIFF of
+    three bands.  ``.asc``: two ESRI ASCII grids, the uncertainty in NAME-sigma.asc.
+
+    Parameters
+    ----------
+    path : Path or str, of the file
+    grid : HeightGrid
+    surface : Surface, that it was made from
+
+    Returns
+    -------
+    list of Path, the files written
+
+    Raises
+    ------
+    InputError
+        For another suffix, or where the file cannot be written.
+
+    Examples
+    --------
+    >>> import lscan
+    >>> from lscan.surface import grid_cells, save_grid
+    >>> surface = lscan.load_surface("surface.nc")
+    >>> [str(file) for file in save_grid("grid.asc", grid_cells(surface, 40.0), surface)]
+    ['grid.asc', 'grid-sigma.asc']
+    """
+    path, kind = Path(path), Path(path).suffix.lower()
+    if kind not in GRIDS:
+        raise InputError("no such kind of grid", where=path, value=kind, allowed=", ".join(GRIDS))
+    bands = {_HEIGHT: grid.z_mm, _SIGMA: grid.sigma_z_mm, _COUNT: grid.points.astype(float)}
+    half_mm = grid.cell_mm / 2
+    west_mm, south_mm = float(grid.x_mm[0] - half_mm), float(grid.y_mm[0] - half_mm)
+    raster = Raster(west_mm, south_mm, grid.cell_mm, bands, f"lscan, {surface.frame} frame")
+    if kind == ".nc":
+        files = {path: netcdf_bytes(_grid_arrays(grid), _notes("Heights", surface))}
+    elif kind == ".asc":
+        beside = path.with_name(f"{path.stem}-sigma{path.suffix}")
+        of_bands = {path: _HEIGHT, beside: _SIGMA}
+        files = {file: esri_ascii_bytes(raster, band) for file, band in of_bands.items()}
+    else:
+        files = {path: geotiff_bytes(raster)}
+    for file, content in files.items():
+        write_atomically(file, content)
+    return list(files)
+
+
+def _grid_arrays(grid: HeightGrid) -> dict[str, NetcdfArray]:
+    """The grid as arrays after the CF conventions."""
+    plan = ("y", "x")
+
+    def axis(values: Floats, name: str) -> NetcdfArray:
+        notes = {"long_name": f"{name} of the cells' middles", "axis": name.upper(), **LENGTH}
+        return NetcdfArray((name,), values, notes)
+
+    beside = "z_sigma points" + (grid.modes_mm is not None) * f" {COMMON}"
+    height = {"long_name": "height at the cell's middle", "ancillary_variables": beside, **LENGTH}
+    sigma = {"long_name": "standard uncertainty of z", **LENGTH}
+    arrays = {
+        "x": axis(grid.x_mm, "x"),
+        "y": axis(grid.y_mm, "y"),
+        "z": NetcdfArray(plan, grid.z_mm, height),
+        "z_sigma": NetcdfArray(plan, grid.sigma_z_mm, sigma),
+        "points": NetcdfArray(
+            plan, grid.points.astype(np.int32), {"long_name": _COUNT, "units": "1"}
+        ),
+    }
+    if grid.modes_mm is not None:
+        name = "part of z_sigma that calibration and alignment give to all cells in common"
+        common = np.sqrt((grid.modes_mm**2).sum(axis=-1))
+        arrays[COMMON] = NetcdfArray(plan, common, {"long_name": name, **LENGTH})
+    return arrays

@@ -12,6 +12,7 @@ MIN_POINTS = 9
 """Fewest points of a cell: three to spare for the six coefficients of its quadratic."""
 
 TERMS = 6
+ENOUGH = 0.8  # of the cells of a fitting size: those at the rim are cut
 
 LARGEST_GRID = 4_000_000
 """Most cells of a grid: 2000 by 2000, which is more than a scan has points."""
@@ -128,6 +129,36 @@ def grid_cells(surface: Surface, cell_mm: float, bias_mm: Floats | None = None) 
         points=np.bincount(samples.cell, minlength=rows * columns).reshape(rows, columns),
         modes_mm=None if modes is None else spread(modes, np.nan),
     )
+
+
+def fitting_cell_mm(surface: Surface) -> float:
+    """The least side of cells, 1, 2 or 5 times a power of ten mm, of which hardly any lacks points.
+
+    Of the cells that hold any point, ENOUGH have as many as a height takes.
+
+    Parameters
+    ----------
+    surface : Surface, mm, in any frame with z up
+
+    Raises
+    ------
+    MeasurementError
+        Where there is no point, or too few for a grid.
+    """
+    valid = has_value(surface.status) & np.isfinite(surface.xyz_mm).all(axis=-1)
+    plan = surface.xyz_mm[valid][:, :2]
+    if len(plan) == 0:
+        raise MeasurementError("the surface holds no measured point to grid")
+    extent = np.ptp(plan, axis=0)
+    for power in range(-3, 5):
+        for first in (1.0, 2.0, 5.0):
+            cell_mm = first * 10.0**power
+            if np.prod(extent / cell_mm + 1) > LARGEST_GRID:
+                continue
+            counts = np.unique(np.floor(plan / cell_mm), axis=0, return_counts=True)[1]
+            if np.mean(counts >= MIN_POINTS) >= ENOUGH:
+                return cell_mm
+    raise MeasurementError(f"the surface holds too few points for a grid: {len(plan)}")
 
 
 def _check(surface: Surface, cell_mm: float, bias_mm: Floats | None, any_point: bool) -> None:

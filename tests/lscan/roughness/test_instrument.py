@@ -12,7 +12,7 @@ from rough_patches import drawn, holes, patch, wave, whole
 from typer.testing import CliRunner
 
 from lscan.cli.app import app
-from lscan.cli.roughness import MOST_STEPS
+from lscan.cli.report import MOST_STEPS
 from lscan.errors import InputError, MeasurementError
 from lscan.files.pictures import read_picture
 from lscan.records import Status, Surface

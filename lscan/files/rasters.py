@@ -1,0 +1,154 @@
+"""Rasters as programs for maps and images read them: GeoTIFF and ESRI ASCII."""
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from xml.sax.saxutils import escape
+
+import numpy as np
+
+from lscan.records import Floats
+from lscan.version import __version__
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Bands of numbers on square cells.
+
+    Attributes
+    ----------
+    west_mm, south_mm : float, mm, x and y of the outer corner of the first cell
+    cell_mm : float, mm, side of a cell
+    bands : mapping, of (R, C) arrays by what they are; rows along y upwards, columns along x; NaN
+        where there is no value
+    frame : str, what x and y are of
+    """
+
+    west_mm: float
+    south_mm: float
+    cell_mm: float
+    bands: Mapping[str, Floats]
+    frame: str
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(R, C) of the cells."""
+        rows, columns = next(iter(self.bands.values())).shape
+        return rows, columns
+
+
+# GeoTIFF.
+
+
+_SHORT, _LONG, _DOUBLE, _TEXT = 3, 4, 12, 2
+_FORMATS = {_SHORT: "H", _LONG: "I", _DOUBLE: "d"}
+_USER_DEFINED = 32767  # as OGC 19-008r4 calls what no register knows
+
+
+def geotiff_bytes(raster: Raster) -> bytes:
+    """A GeoTIFF file, one band after the other in double precision, the highest y first.
+
+    x and y are those of the raster in mm, of no place on the Earth: GDAL and what builds on it find
+    a local system.  What a band is, and that NaN is no value, stands in GDAL's own tags.
+
+    Parameters
+    ----------
+    raster : Raster
+
+    References
+    ----------
+    TIFF, Adobe, revision 6.0.  GeoTIFF: OGC 19-008r4.
+    """
+    rows, columns = raster.shape
+    count, size = len(raster.bands), rows * columns * 8
+    names = "".join(
+        f'<Item name="DESCRIPTION" sample="{number}" role="description">{escape(name)}</Item>'
+        for number, name in enumerate(raster.bands)
+    )
+    north_mm = raster.south_mm + rows * raster.cell_mm
+    citation = f"{raster.frame}, mm|"
+    keys = [
+        (1024, 0, 1, _USER_DEFINED),  # the model: neither geographic nor projected
+        (1025, 0, 1, 1),  # a pixel is an area
+        (1026, 34737, len(citation), 0),
+    ]
+    directory = [1, 1, 1, len(keys), *(part for key in keys for part in key)]
+    tags: list[tuple[int, int, Sequence[float] | str]] = [
+        (256, _LONG, [columns]),
+        (257, _LONG, [rows]),
+        (258, _SHORT, [64] * count),
+        (259, _SHORT, [1]),  # not compressed
+        (262, _SHORT, [1]),  # 0 is black
+        (273, _LONG, [0] * count),  # where bands begin, filled in below
+        (277, _SHORT, [count]),
+        (278, _LONG, [rows]),
+        (279, _LONG, [size] * count),
+        (284, _SHORT, [2]),  # one band after the other
+        (305, _TEXT, f"lscan {__version__}"),
+        (338, _SHORT, [0] * (count - 1)),
+        (339, _SHORT, [3] * count),  # floating point
+        (33550, _DOUBLE, [raster.cell_mm, raster.cell_mm, 0.0]),
+        (33922, _DOUBLE, [0.0, 0.0, 0.0, raster.west_mm, north_mm, 0.0]),
+        (34735, _SHORT, directory),
+        (34737, _TEXT, citation),
+        (42112, _TEXT, f"<GDALMetadata>{names}</GDALMetadata>"),
+        (42113, _TEXT, "nan"),
+    ]
+    tags = [tag for tag in tags if len(tag[2])]
+    begin = len(_header(tags))
+    offsets = [begin + number * size for number in range(count)]
+    tags = [(tag, kind, offsets if tag == 273 else values) for tag, kind, values in tags]
+    bands = (np.ascontiguousarray(band[::-1], "<f8").tobytes() for band in raster.bands.values())
+    return b"".join((_header(tags), *bands))
+
+
+def _header(tags: Sequence[tuple[int, int, Sequence[float] | str]]) -> bytes:
+    """All that stands before the bands: eight bytes, the directory, what is too long for it."""
+    entries, beyond = b"", b""
+    begin = 8 + 2 + 12 * len(tags) + 4
+    for tag, kind, values in tags:
+        if isinstance(values, str):
+            data = values.encode("ascii", "xmlcharrefreplace") + b"\0"
+            number = len(data)
+        else:
+            data = struct.pack(f"<{len(values)}{_FORMATS[kind]}", *values)
+            number = len(values)
+        if len(data) > 4:
+            data += bytes(-len(data) % 8)
+            place = struct.pack("<I", begin + len(beyond))
+            beyond += data
+        else:
+            place = data.ljust(4, b"\0")
+        entries += struct.pack("<HHI", tag, kind, number) + place
+    beyond += bytes(-(begin + len(beyond)) % 8)
+    return struct.pack("<2sHIH", b"II", 42, 8, len(tags)) + entries + bytes(4) + beyond
+
+
+# ESRI ASCII.
+
+
+NO_VALUE = -9999
+
+
+def esri_ascii_bytes(raster: Raster, band: str) -> bytes:
+    """One band as an ESRI ASCII grid, the highest y first, to a nanometre.
+
+    Parameters
+    ----------
+    raster : Raster
+    band : str, one of its bands
+
+    References
+    ----------
+    Esri ASCII raster format, ArcGIS documentation.
+    """
+    rows, columns = raster.shape
+    head = (
+        f"ncols {columns}\nnrows {rows}\nxllcorner {raster.west_mm!r}\n"
+        f"yllcorner {raster.south_mm!r}\ncellsize {raster.cell_mm!r}\nNODATA_value {NO_VALUE}\n"
+    )
+    lines = (
+        " ".join(f"{value:.6f}" if value == value else str(NO_VALUE) for value in row)
+        for row in raster.bands[band][::-1].tolist()
+    )
+    return (head + "\n".join(lines) + "\n").encode()
