@@ -91,7 +91,9 @@ def smoothing_doubt(stripe: Stripe, light: GreyValues, spread: float) -> Floats:
 
     The two parts of the shift add up or cancel, by how the line is read: a centroid moves by
     s² (v''/2 + v' F'/F), a ridge, whose normal leans where its light rises, by
-    s² (v''/2 - v' F'/F).  They count as independent; 0 where the line is too short for either.
+    s² (v''/2 - v' F'/F).  They count as independent.  Their squares, of noisy derivatives, are too
+    large by the square of what these are uncertain by, on average, which is taken off; 0 where
+    nothing is left, and where the line is too short for either.
 
     Parameters
     ----------
@@ -99,7 +101,8 @@ def smoothing_doubt(stripe: Stripe, light: GreyValues, spread: float) -> Floats:
     spread : float, px², variance of the smoothing
     """
     parts, sigma = _shift(stripe, light, spread)
-    return np.asarray(np.nan_to_num(np.sqrt((parts**2).sum(axis=0) + sigma**2)))
+    squares = (parts**2).sum(axis=0) - sigma**2
+    return np.sqrt(np.maximum(np.nan_to_num(squares), 0.0))
 
 
 def correction_gain(wave_rad_per_px: Floats | float, blur_px: float) -> Floats:

@@ -17,9 +17,11 @@ from lscan.stripe.corrections import (
     PIXEL_VARIANCE,
     REACH_PX,
     _derivatives,
+    _shift,
     correct_blur,
     correction_gain,
     line_flux,
+    smoothing_doubt,
 )
 
 COLUMNS, ROWS, FINE = 120, 96, 8
@@ -247,3 +249,28 @@ def test_the_correction_s_gain_is_what_it_makes_of_waves(columns: float) -> None
     long = 1e-3
     inverse = 1 + (0.7**2 + PIXEL_VARIANCE) * long**2 / 2
     assert float(correction_gain(long, 0.7)) == pytest.approx(inverse, abs=1e-11)
+
+
+def test_noise_alone_is_hardly_taken_for_bends() -> None:
+    """What smoothing does to a straight line is nothing, however its centres scatter.
+
+    Of one noisy part of a variance 1 the square less 1, where that is positive, is .48 on average
+    (twice the normal density at 1); of several it is less.
+    """
+    rng = np.random.default_rng(4)
+    light = picture(lambda u: 40 + 0.1 * u, lambda u: 0 * u + 100, 0.7)
+    line = centroids(light)
+    doubts, noise = [], []
+    for _ in range(40):
+        centre = line.centre_px + rng.normal(0, 0.05, COLUMNS)
+        noisy = replace(line, centre_px=centre, sigma_px=np.full(COLUMNS, 0.05))
+        doubts.append(smoothing_doubt(noisy, light, 2.0)[8:-8])
+        noise.append(_shift(noisy, light, 2.0)[1][8:-8])
+    assert np.mean(np.square(doubts)) < 0.5 * np.mean(np.square(noise))
+
+
+def test_a_bend_is_doubted_by_what_smoothing_moves_it() -> None:
+    bend, spread = 0.004, 2.0
+    light = picture(lambda u: 40 + bend / 2 * (u - 60) ** 2, lambda u: 0 * u + 100, 0.7)
+    doubt = smoothing_doubt(centroids(light), light, spread)[8:-8]
+    np.testing.assert_allclose(doubt, spread * bend / 2, rtol=0.05)
