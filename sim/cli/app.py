@@ -12,6 +12,7 @@ from lscan.errors import InputError
 COMMANDS = {
     "demo": "sim.cli.pictures:demo",
     "render": "sim.cli.pictures:render",
+    "check": "sim.cli.pictures:check",
     "truth": "sim.cli.pictures:truth",
     "views": "sim.cli.pictures:views",
     "serve": "sim.cli.serve:serve",
@@ -22,7 +23,8 @@ COMMANDS = {
 SUITE_COMMANDS = {"make": "sim.cli.dataset:make_suite"}
 
 app = command_line(
-    "The tank in software: demo, render, truth, views, serve, study, concavity, dataset, suite.",
+    "The tank in software: demo, check, render, truth, views, serve, study, concavity, dataset, "
+    "suite.",
     COMMANDS,
 )
 app.callback()(before_any_command)

@@ -7,10 +7,11 @@ from rich.table import Table
 from typer import Argument, Option
 
 from lscan.acquisition.run import open_run
-from lscan.cli.console import Json, progress_bar, show, table
+from lscan.cli.console import Json, progress_bar, require_folders, show, table
 from lscan.cli.report import chain_lines
 from lscan.config.scenes import scenes_folder
 from lscan.errors import InputError
+from lscan.files.disk import write_atomically
 from lscan.paper.experiment import Experiment
 from lscan.paper.report import results_json
 from sim.cli.app import OutputFolder, PaperFolder, Quick, SceneFile, show_places
@@ -32,6 +33,28 @@ def render(
     loaded = load_checked(scene)
     place = loaded.rig.plan.start_mm if position is None else position
     show_places(write_render(loaded, place, output, samples), json)
+
+
+def check(
+    scene: SceneFile,
+    picture: Path | None = Option(
+        None, help="PNG file to write: brightness, width and uncertainty along the line."
+    ),
+    json: Json = False,
+) -> None:
+    """Say what a rig sees and how well it measures, in seconds and without a picture.
+
+    View, scale, width and brightness of the laser's line half-way through the scan, the least
+    uncertainty of its heights, the exposure that it wants, the laser's class, and what in the scene
+    contradicts what.  Closed forms, which leave out the light that the water scatters.
+    """
+    from sim.studies.rigcheck import check_json, check_lines, check_picture, check_rig  # takes 1 s
+
+    require_folders(picture)
+    found = check_rig(load_checked(scene))
+    if picture is not None:
+        write_atomically(picture, check_picture(found))
+    show(check_json(found), *check_lines(found), json=json)
 
 
 def truth(

@@ -68,7 +68,7 @@ def house_rows(root: Path = ROOT) -> list[HouseRow]:
         HouseRow("modules at the root of lscan", len(at_root), 7, ", ".join(at_root)),
         HouseRow("lines of code of lscan and sim", sum(code.values()), 46_000, str(code)),
         HouseRow("of these lines of imports", imports, 3_930),
-        HouseRow("lines of code of tests and validation", tests, 54_900),
+        HouseRow("lines of code of tests and validation", tests, 55_100),
         HouseRow("class names used more than once", len(twice), 0, ", ".join(twice)),
         HouseRow("lines of README.md", len(readme), 150),
         *(HouseRow(f"files: {what}", len(files), MOST_FILES) for what, files in ways(root).items()),
