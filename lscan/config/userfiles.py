@@ -391,8 +391,8 @@ def json_schema(kind: str) -> dict[str, Any]:
 
     Examples
     --------
-    >>> json_schema("rig")["properties"]["plan"]
-    {'$ref': '#/$defs/Plan-part', 'description': 'The scan. With a `[shaft]`, positions are arcs.'}
+    >>> json_schema("rig")["properties"]["plan"]["description"]
+    'The scan. With a `[shaft]`, positions are arcs.'
     """
     file = find_file(kind)
     tables: dict[str, Any] = {}

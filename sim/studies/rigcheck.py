@@ -1,8 +1,9 @@
-"""What a rig sees and how well it will measure, from its scene alone: before any picture."""
+"""What a rig sees and how well it will measure, from its scene alone: before any scan."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -21,11 +22,20 @@ from sim.sensor.radiometry import speckle_contrast
 from sim.studies.design.catalogue import LaserClass, laser_class
 from sim.studies.design.rig import BRIGHT_SHARE, LONGEST_MS, PEAK_DN, measured_mm
 from sim.studies.rig.prepared import centre_variance_px2
-from sim.truth import StripeTruth, board_truth, project, sheet_of, stripe_truth
+from sim.truth import (
+    StripeTruth,
+    board_truth,
+    line_brightness,
+    project,
+    sheet_of,
+    stripe_truth,
+)
 from sim.truth.light import CHANNELS
 
 STEP_MM = 0.01  # of differences of the projection
-CORE_PX, BESIDE_PX = 4, (9, 14)  # from the line: its core, and what counts as its ground
+# From the line: its core in widths and at least in px, and the px beside it that are its ground.
+CORE_WIDTHS, LEAST_CORE_PX, BESIDE_PX = 3.0, 4, (5, 10)
+WIDEST_PX = 4.0  # that the bound is worked out for
 LEAST_WIDTH_PX = 0.3  # a line as thin as can be, spread by a pixel alone
 ROUNDING_DN2 = 1 / 12
 CLIPPED_SHARE = 0.05  # of the line: more wants a shorter exposure
@@ -121,7 +131,7 @@ def check_rig(scene: Scene) -> RigCheck:
     >>> import sim
     >>> found = check_rig(sim.load_scene("paper/groove"))
     >>> found.laser_class, len(found.entry)
-    ('3R', 591)
+    ('2', 614)
     """
     positions = scene.rig.plan.positions_mm()
     middle_mm = positions[len(positions) // 2]
@@ -190,12 +200,14 @@ def _line_light(scene: Scene, truth: StripeTruth, entry: Ints, position_mm: floa
     if scene.rig.stripe.axis == "columns":
         columns = [picture.T for picture in columns]
     row = np.rint(truth.centre_px[entry]).astype(int)
-    away = np.arange(-BESIDE_PX[1], BESIDE_PX[1] + 1)
+    known = line_brightness(scene, [truth])[0].width_px[entry]
+    core_px = max(LEAST_CORE_PX, ceil(CORE_WIDTHS * np.median(known)) if len(known) else 0)
+    away = np.arange(-core_px - BESIDE_PX[1], core_px + BESIDE_PX[1] + 1)
     places = np.clip(row[:, np.newaxis] + away, 0, columns[0].shape[1] - 1)
     light, of_line = (gain * picture[entry[:, np.newaxis], places] for picture in columns)
-    core = np.abs(away) <= CORE_PX
+    core = np.abs(away) <= core_px
     crest = light[:, core].max(axis=1)
-    ground = np.median(light[:, np.abs(away) >= BESIDE_PX[0]], axis=1)
+    ground = np.median(light[:, np.abs(away) >= core_px + BESIDE_PX[0]], axis=1)
     height = np.maximum(crest - ground, 1e-6)
     # The core's light over its height: a Gaussian's is sqrt(2 pi) times its standard deviation.
     width = (light[:, core] - ground[:, np.newaxis]).sum(axis=1) / height / np.sqrt(2 * np.pi)
@@ -207,8 +219,11 @@ def _line_light(scene: Scene, truth: StripeTruth, entry: Ints, position_mm: floa
     share = of_line[:, core].max(axis=1) / crest
     speckle2 = (_contrast(scene) * share) ** 2 + colours * sensor.prnu**2
     plain = np.full(len(entry), colours * sensor.prnu**2)
+    each = np.full(len(entry), shot)
+    # Of wider lines as many times more pixels say each as many times less, squared.
     variances = [
-        centre_variance_px2(width, height, beside, np.full(len(entry), shot), grain)
+        centre_variance_px2(np.minimum(width, WIDEST_PX), height, beside, each, grain)
+        * np.maximum(width / WIDEST_PX, 1)
         for grain in (plain, speckle2)
     ]
     return LineLight(crest, ground, width, np.sqrt(beside), np.sqrt(np.stack(variances)))
@@ -261,9 +276,10 @@ def _doubts(found: RigCheck) -> Iterator[str]:
             f"in place of {exposure_ms:g}"
         )
     elif faint > CLIPPED_SHARE:
+        longer = f"camera.exposure_ms = {found.exposure_ms:.3g} in place of {exposure_ms:g}"
         yield (
             f"{faint:.0%} of the line is below stripe.threshold_dn = {stripe.threshold_dn:g}: "
-            f"camera.exposure_ms = {found.exposure_ms:.3g} in place of {exposure_ms:g}, or less"
+            f"a lower one{f', or {longer}' if found.exposure_ms > exposure_ms else ''}"
         )
     response = sensor.laser_response
     colours = {"red": response.red, "green": response.green, "blue": response.blue}
