@@ -384,6 +384,7 @@ DUTIES = {
     "lscan.extractors": {"__call__"},
     "lscan.planemaps": {"solve", "restore"},
     "lscan.boardreaders": {"__call__"},
+    "lscan.userfiles": {"__call__"},
     "pytest11:lscan": {"pytest_addoption", "stripe_case", "board_case", "assert_no_worse"},
     "pytest11:lscan-tank": {"tank"},
 }

@@ -399,7 +399,12 @@ def one_of(value: str, known: Collection[Named], where: str, fault: str = "not k
 
 
 def require_folders(*outputs: Path | None) -> None:
-    """Refuse, before any work is done, an output whose folder does not exist."""
+    """Refuse, before any work is done, an output whose folder does not exist.
+
+    Parameters
+    ----------
+    outputs : Path or None, each a file to be written, None for none
+    """
     for output in outputs:
         if output is not None and not os.path.isdir(output.parent):  # noqa: PTH112 - takes any
             raise InputError("the folder to write to does not exist", where=output)

@@ -295,7 +295,12 @@ _ROLE = re.compile(r"\{\w+\}`(?:[^`<]*<)?([^`>]*)>?`")  # of MyST, such as {doc}
 
 
 def as_text(section: Section) -> str:
-    """The section as plain text: its title, and of each key what it may be and what it means."""
+    """The section as plain text: its title, and of each key what it may be and what it means.
+
+    Parameters
+    ----------
+    section : Section
+    """
     said = descriptions().get(section.label or "file", {}).get("_", "")
     lines = [section.title, *_filled(said, 2)]
     for key, kind, bounds, unit_, value, meaning in rows(section):

@@ -56,7 +56,7 @@ class RigCheck:
         laser's line is lit and seen
     xz_mm : (N, 2) array, mm, the line's places in the sheet, head frame
     mm_per_px : (N, 2) array, mm of the target along the line a column, and of height a pixel across
-    light : LineLight, what the picture there shows of the line
+    light : RenderedLine, what the picture there shows of the line
     sigma_z_mm : (2, N) array, mm, least standard uncertainty of a height, one column by itself: by
         the sensor's noise alone, and with speckle
     exposure_ms : float, ms, that puts the brightest parts of the line at 200 DN
@@ -70,7 +70,7 @@ class RigCheck:
     entry: Ints
     xz_mm: Floats
     mm_per_px: Floats
-    light: "LineLight"
+    light: "RenderedLine"
     sigma_z_mm: Floats
     exposure_ms: float
     marks: tuple[int, int] | None
@@ -167,7 +167,7 @@ def check_rig(scene: Scene) -> RigCheck:
 
 
 @dataclass(frozen=True)
-class LineLight:
+class RenderedLine:
     """What a picture without noise shows of a line, in DN that go with the light.
 
     Attributes
@@ -187,7 +187,7 @@ class LineLight:
     bounds_px: Floats
 
 
-def _line_light(scene: Scene, truth: StripeTruth, entry: Ints, position_mm: float) -> LineLight:
+def _line_light(scene: Scene, truth: StripeTruth, entry: Ints, position_mm: float) -> RenderedLine:
     """What the picture at a place shows of the line at some columns."""
     webcam, layers = Webcam(scene), Tank(scene).render(position_mm)
     dark = np.zeros_like(layers.direct)
@@ -226,7 +226,7 @@ def _line_light(scene: Scene, truth: StripeTruth, entry: Ints, position_mm: floa
         * np.maximum(width / WIDEST_PX, 1)
         for grain in (plain, speckle2)
     ]
-    return LineLight(crest, ground, width, np.sqrt(beside), np.sqrt(np.stack(variances)))
+    return RenderedLine(crest, ground, width, np.sqrt(beside), np.sqrt(np.stack(variances)))
 
 
 def _contrast(scene: Scene) -> float:

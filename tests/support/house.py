@@ -62,12 +62,12 @@ def house_rows(root: Path = ROOT) -> list[HouseRow]:
     tests = sum(map(code_lines, modules_of(root / "tests")))
     readme = (root / "README.md").read_text(encoding="utf-8").splitlines()
     return [
-        HouseRow("modules of lscan and sim", len(modules), 262),
+        HouseRow("modules of lscan and sim", len(modules), 263),
         HouseRow(f"of these of less than {SMALL} lines", len(small), 41),
         HouseRow("modules of the fullest room", rooms[fullest], 12, str(fullest.relative_to(root))),
         HouseRow("modules at the root of lscan", len(at_root), 7, ", ".join(at_root)),
-        HouseRow("lines of code of lscan and sim", sum(code.values()), 46_000, str(code)),
-        HouseRow("of these lines of imports", imports, 3_930),
+        HouseRow("lines of code of lscan and sim", sum(code.values()), 46_300, str(code)),
+        HouseRow("of these lines of imports", imports, 3_950),
         HouseRow("lines of code of tests and validation", tests, 55_100),
         HouseRow("class names used more than once", len(twice), 0, ", ".join(twice)),
         HouseRow("lines of README.md", len(readme), 150),
