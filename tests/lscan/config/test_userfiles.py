@@ -220,6 +220,7 @@ def test_copied_scenes_name_their_schemas(tmp_path: Path) -> None:
     assert load_scene(folder / "paper/groove.toml").rig.name == "paper: grooved block"
 
 
+@pytest.mark.slow
 def test_an_outside_reader_agrees(tmp_path: Path) -> None:
     """Taplo, which editors read TOML by."""
     folder = tmp_path / "mine"

@@ -125,6 +125,7 @@ def test_light_that_does_not_serve_is_named(found: RigCheck) -> None:
         assert re.match(f"doubt: {words}camera.exposure_ms = ", lines[-1]), lines
 
 
+@pytest.mark.slow
 def test_the_advised_exposure_puts_the_line_where_it_says(found: RigCheck) -> None:
     advised = check_rig(with_rig(GROOVE, camera={"exposure_ms": found.exposure_ms}))
     assert np.quantile(advised.grey_dn[0], 0.95) == pytest.approx(200, abs=0.1)
