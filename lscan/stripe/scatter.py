@@ -232,7 +232,7 @@ class LightMoments(NamedTuple):
         The least lag, of 1, 2, 4, 8 and 16, at which the third differences of the line's width are
         about as large as at any.  Where that is beyond 1 it is at least three widths of the line,
         over which some extractors smooth along it; it is 1 too where none exceeds that at 1 by more
-        than chance, four standard deviations of it.
+        than chance, four standard deviations of it, and where too few neighbours have a width.
 
         Parameters
         ----------
@@ -242,7 +242,8 @@ class LightMoments(NamedTuple):
         found: dict[int, float] = {}
         for lag in _LAGS:
             values = third_differences(self.squared, run, lag)[1]
-            if len(values) >= _FEWEST_DIFFERENCES:
+            # None at 1, where the widths of neighbours are hardly ever both known: none to compare.
+            if len(values) >= _FEWEST_DIFFERENCES and (lag == 1 or 1 in found):
                 scatter = robust_variance(values)
                 # Two variances are compared, each of as many values as the second has, or more.
                 chance = _BEYOND_CHANCE * np.sqrt(4 * _REPEATED / len(values))

@@ -9,7 +9,7 @@ from lscan.config.rig import NoiseSection, StripeSection
 from lscan.records import Status, Stripe
 from lscan.stripe import extract_stripe, find_extractor
 from lscan.stripe.peaks import crests, pieces
-from lscan.stripe.scatter import excess, light_moments
+from lscan.stripe.scatter import LightMoments, excess, light_moments
 from tests.validation.surfaces.relief import camera_picture
 
 COLUMNS = 640
@@ -159,3 +159,12 @@ def test_noise_stated_too_small_does_not_make_the_line_surer(name: str) -> None:
         error = (found.centre_px - centre)[found.status == 0]
         ratios.append(np.median(found.sigma_px[found.status == 0]) / error.std())
     assert 0.8 < np.mean(ratios) < 1.4
+
+
+def test_a_line_whose_width_is_known_in_every_other_column_says_nothing_of_shared_errors():
+    """As of wide, speckled lines, whose width is not found in many of them."""
+    rng = np.random.default_rng(8)
+    squared = rng.normal(0.3, 0.01, COLUMNS)
+    squared[1::2] = np.nan
+    light = LightMoments(2.0, np.full(COLUMNS, 40.0), squared, np.full(COLUMNS, 100.0))
+    assert light.shared_columns(stripe_of(np.full(COLUMNS, 40.0))) == 1
