@@ -220,7 +220,8 @@ def _line_light(scene: Scene, truth: StripeTruth, entry: Ints, position_mm: floa
     speckle2 = (_contrast(scene) * share) ** 2 + colours * sensor.prnu**2
     plain = np.full(len(entry), colours * sensor.prnu**2)
     each = np.full(len(entry), shot)
-    # Of wider lines as many times more pixels say each as many times less, squared.
+    # The information falls with the width: its pixels grow with it, their slopes squared fall as
+    # its square.
     variances = [
         centre_variance_px2(np.minimum(width, WIDEST_PX), height, beside, each, grain)
         * np.maximum(width / WIDEST_PX, 1)
