@@ -31,7 +31,7 @@ from lscan.measure import (
     groove_dimensions,
     unmeasured_distances,
 )
-from lscan.records import BoardReading, Bytes, Floats, Length, Profile, Progress, Status, Surface
+from lscan.records import BoardReading, Floats, Length, Picture, Profile, Progress, Status, Surface
 from lscan.stripe.extract import compile_lines, extract_stripe
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
 from lscan.surface.alignment import KeptAlignment
@@ -289,7 +289,7 @@ def read_profiles(
             progress(done, len(run))
 
 
-def mean_picture(run: Run) -> Bytes:
+def mean_picture(run: Run) -> Picture:
     """The mean of the run's pictures, with the laser on, rounded, same shape as each.
 
     Parameters
@@ -299,7 +299,7 @@ def mean_picture(run: Run) -> Bytes:
     Returns
     -------
     array
-        (H, W) grey or (H, W, 3) RGB, uint8, DN.
+        (H, W) grey or (H, W, 3) RGB, uint8 or uint16.
 
     Raises
     ------
@@ -317,7 +317,7 @@ def mean_picture(run: Run) -> Bytes:
     total: Floats | float = 0.0
     for frame in in_order(run.frame, range(len(run))):
         total = total + frame.image.astype(float)
-    return np.rint(total / len(run)).astype(np.uint8)
+    return np.rint(total / len(run)).astype(frame.image.dtype)
 
 
 def require_board(rig_file: RigFile) -> Board:

@@ -14,6 +14,10 @@ control point O (upper left), x right, z up, so points beneath O have negative z
 
 Pixels: (u, v), u right, v down, the centre of the top-left pixel is (0, 0).
 
+Grey values: in DN, of which the range has 256 whatever the camera's bits, so that thresholds and
+noise are of one unit.  A picture of 8 bits is uint8, in DN; a deeper one uint16, with 256 steps to
+the DN, of which a camera of 12 bits uses every sixteenth.
+
 Every point has a :class:`Status`; a point whose status is not ``OK`` (or ``SATURATED``,
 which has a value of lesser quality) holds NaN.  Nothing is dropped in silence.
 Every measured coordinate has a standard uncertainty (one sigma) beside it.
@@ -31,6 +35,7 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Ints = NDArray[np.int64]
 Bytes = NDArray[np.uint8]
+Picture = NDArray[np.uint8 | np.uint16]
 Mask = NDArray[np.bool_]
 GreyValues = NDArray[np.integer[Any] | np.floating[Any]]
 Record = TypeVar("Record")
@@ -112,7 +117,7 @@ class Frame:
 
     Attributes
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, DN, colour as RGB
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, colour as RGB
     index : int, place in the run, from 0
     commanded_mm : float, mm, track position asked for
     position_mm : float, mm, track position reported by the track
@@ -129,13 +134,13 @@ class Frame:
     ((480, 640, 3), 1.0)
     """
 
-    image: Bytes
+    image: Picture
     index: int
     commanded_mm: float
     position_mm: float
     time_s: float
     exposure_ms: float
-    background: Bytes | None = None
+    background: Picture | None = None
 
 
 @dataclass(frozen=True)

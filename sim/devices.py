@@ -21,7 +21,7 @@ from lscan.config.documents import Strict, check, named_files
 from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Fact, Grab, PassiveTrack, Track, TravelDriver, TravelOptions
 from lscan.errors import DeviceError, InputError
-from lscan.records import Bytes
+from lscan.records import Picture
 from sim.processes import Ahead
 from sim.scene import SECTIONS, Scene, at_moment, scene_of
 from sim.truth.placement import check_placement
@@ -262,8 +262,8 @@ def metered_layers(
 
 def take_picture(
     scene: Scene, tank: Tank, position_mm: float, samples: int | None = None
-) -> tuple[Bytes, Layers, float]:
-    """A picture by itself, (H, W, 3) uint8 RGB, its layers of light, and its exposure in ms.
+) -> tuple[Picture, Layers, float]:
+    """A picture by itself, (H, W, 3) RGB, its layers of light, and its exposure in ms.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def exposure_of(scene: Scene, webcam: Webcam, layers: Layers, *, time_s: float =
 
 def render_picture(
     scene: Scene, position_mm: float | None = None, samples: int | None = None
-) -> Bytes:
+) -> Picture:
     """The picture that the scene's webcam takes, as ``lscan-sim render`` writes it.
 
     What changes from picture to picture is as in the first one of a scan.
@@ -316,7 +316,7 @@ def render_picture(
 
     Returns
     -------
-    array of uint8
+    array of uint8, or of uint16 where the camera has more than 8 bits
         (H, W, 3), RGB.
 
     Raises

@@ -36,7 +36,7 @@ from lscan.errors import DeviceError, InputError, LscanError
 from lscan.files.cache import long_work
 from lscan.files.disk import content_sha256, list_names, read_bytes, read_json, require_within
 from lscan.files.pictures import read_png
-from lscan.records import Bytes, Floats, Frame
+from lscan.records import Floats, Frame, Picture
 from lscan.version import __version__
 
 MANIFEST, TABLE, FRAMES = "run.json", "frames.csv", "frames"
@@ -208,26 +208,39 @@ class Run:
         """Read every picture's file and compare its checksum; InputError as ``frame``."""
         with long_work("recorded pictures checked") as progress:
             for done, row in enumerate(self.rows, start=1):
-                self._checked_bytes(row)
+                self.picture_bytes(row)
                 if row.dark_sha256 is not None:
-                    self._checked_bytes(row, dark=True)
+                    self.picture_bytes(row, dark=True)
                 progress(done, len(self))
 
-    def _checked_bytes(self, row: FrameRow, dark: bool = False) -> bytes:
+    def picture_bytes(self, row: FrameRow, dark: bool = False) -> bytes:
+        """The file of a frame's picture, PNG, as it was recorded.
+
+        Parameters
+        ----------
+        row : FrameRow, of the frame
+        dark : bool, whether its background is meant
+
+        Raises
+        ------
+        InputError
+            It is missing, or is not the one that was recorded.
+        """
         file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
-        # PNG needs hardly more than the pixels, 3 bytes each.
-        most_bytes = 4 * camera.width_px * camera.height_px + 2**20
+        # PNG needs hardly more than the pixels, 3 bytes each, or 6.
+        most_bytes = 4 * camera.width_px * camera.height_px * camera.bytes_a_value + 2**20
         data = read_bytes(file, most_bytes, within=self.path)
         if hashlib.sha256(data).hexdigest() != (row.dark_sha256 if dark else row.sha256):
             what = f"is not the picture that {TABLE} line {row.index + 2} lists (checksum differs)"
             raise InputError(what, where=file)
         return data
 
-    def _picture(self, row: FrameRow, dark: bool = False) -> Bytes:
+    def _picture(self, row: FrameRow, dark: bool = False) -> Picture:
         """A frame's picture, or its background."""
         file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
-        data = self._checked_bytes(row, dark)
-        return read_png(data, file, camera.size_px, whose=", as in the rig")
+        data = self.picture_bytes(row, dark)
+        depth_bits: Literal[8, 16] = 8 if camera.bits == 8 else 16
+        return read_png(data, file, camera.size_px, whose=", as in the rig", depth_bits=depth_bits)
 
 
 def open_run(path: Path | str, trusted: bool = False) -> Run:

@@ -31,7 +31,7 @@ from lscan.devices.api import (
 )
 from lscan.devices.signals import interrupted_by_signals, no_suspending, stop_signals_held
 from lscan.errors import DeviceError, InputError
-from lscan.records import Bytes, Frame, Progress
+from lscan.records import Frame, Picture, Progress
 
 GoOn = Callable[[], bool]
 LIT_ATTEMPTS = 2
@@ -383,7 +383,7 @@ class _ScanDevices:
             "went off; check the camera, or have it take fewer pictures for a frame"
         )
 
-    def _background(self, index: int, lit: Grab, laser: _ScanLaser) -> Bytes:
+    def _background(self, index: int, lit: Grab, laser: _ScanLaser) -> Picture:
         """The same view with the laser off, which must have been taken like the lit one."""
         laser.off()
         dark = self._check_grab(self.camera.grab(index, dark=True), index)
@@ -402,10 +402,12 @@ class _ScanDevices:
     def _check_grab(self, grab: Grab, index: int) -> Grab:
         """The picture; DeviceError where it is not what a run folder can hold."""
         section, image = self.section, grab.image
-        if image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
+        wanted = np.dtype(np.uint8 if section.bits == 8 else np.uint16)
+        if image.dtype != wanted or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
             raise DeviceError(
                 f"camera {section.driver!r}: frame {index} is {image.dtype} of shape "
-                f"{image.shape}; allowed: uint8, (H, W) or (H, W, 3)"
+                f"{image.shape}; allowed: {wanted} for camera.bits = {section.bits}, (H, W) or "
+                "(H, W, 3)"
             )
         height, width = image.shape[:2]
         if (width, height) != section.size_px:

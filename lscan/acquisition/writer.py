@@ -50,7 +50,7 @@ from lscan.files.disk import (
     write_atomically,
 )
 from lscan.files.pictures import encode_picture
-from lscan.records import Bytes, Frame
+from lscan.records import Frame, Picture
 
 
 class RunWriter:
@@ -353,7 +353,7 @@ PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
 """How the pictures of a run are coded, as ``cv2.imencode`` takes it."""
 
 
-def _write_picture(image: Bytes, file: Path) -> str:
+def _write_picture(image: Picture, file: Path) -> str:
     """Write a picture, synced; the SHA-256 of its file."""
     png = encode_picture(image, ".png", PNG, where=file)
     write_atomically(file, png)

@@ -16,7 +16,7 @@ from lscan.config.documents import check
 from lscan.config.rig import Rig, StripeSection
 from lscan.errors import InputError
 from lscan.files.pictures import read_picture, write_picture
-from lscan.records import Bytes, Ints, Mask, PlanePoints, Status, Stripe, has_value, status_counts
+from lscan.records import Ints, Mask, Picture, PlanePoints, Status, Stripe, has_value, status_counts
 from lscan.stripe import draw_stripe, extract_stripe, save_stripe
 from lscan.stripe.extract import extract_within, told_apart
 from lscan.stripe.peaks import FWHM, line_width
@@ -120,7 +120,7 @@ def extract(
 
 def _read_pictures(
     picture: Path, frame: int, background: Path | None, trust: bool
-) -> tuple[Bytes, Bytes | None, Rig | None]:
+) -> tuple[Picture, Picture | None, Rig | None]:
     """The picture, its background if there is one, and the rig of a run folder."""
     dark = read_picture(background) if background else None
     if not os.path.isdir(picture):  # noqa: PTH112 - takes any text
@@ -134,7 +134,7 @@ def _read_pictures(
 
 
 def _stripes(
-    image: Bytes, settings: StripeSection, keep: Mask | None, dark: Bytes | None, both: bool
+    image: Picture, settings: StripeSection, keep: Mask | None, dark: Picture | None, both: bool
 ) -> tuple[Stripe, ...]:
     """The line in the part of the picture, or the two lines of a scanner with two lasers."""
     find = extract_stripe if keep is None else partial(extract_within, keep=keep)
@@ -151,7 +151,7 @@ def _stripes(
 
 
 def _shows_more(
-    image: Bytes, dark: Bytes | None, settings: StripeSection, stripe: Stripe, **change: str
+    image: Picture, dark: Picture | None, settings: StripeSection, stripe: Stripe, **change: str
 ) -> bool:
     """Whether a line that few entries hold shows in twice as many with one setting changed."""
     found = has_value(stripe.status)
@@ -161,7 +161,7 @@ def _shows_more(
     return bool(has_value(changed.status).sum() > 2 * found.sum())
 
 
-def _width_px(image: Bytes, settings: StripeSection, stripe: Stripe) -> float:
+def _width_px(image: Picture, settings: StripeSection, stripe: Stripe) -> float:
     """Full width of the line at half its height, px; 0 where there is no line."""
     at = np.flatnonzero(has_value(stripe.status))
     if len(at) == 0:

@@ -20,9 +20,9 @@ from lscan.config.board import load_board
 from lscan.config.documents import check, read_document
 from lscan.config.rig import CalibrationSection, OpticsSection, Rig
 from lscan.errors import InputError
-from lscan.files.pictures import display_turn, read_picture
+from lscan.files.pictures import display_turn, eight_bit, grey_dn, read_picture, step_of
 from lscan.pipeline import board_expected, mean_picture, require_board, require_size
-from lscan.records import BoardReading, Bytes, Floats, Mask, Status
+from lscan.records import BoardReading, Floats, Mask, Picture, Status
 from lscan.surface.shaft import load_shaft
 
 
@@ -97,7 +97,7 @@ def read_board_picture(
     seeds: str | None,
     channel: str | None,
     trusted: bool,
-) -> tuple[BoardReading, Bytes, CalibrationSection, OpticsSection]:
+) -> tuple[BoardReading, Picture, CalibrationSection, OpticsSection]:
     """The marks of a board, the picture that shows them, how to calibrate by it, and its optics.
 
     picture: a file, or a run folder, whose mean picture is taken.
@@ -141,9 +141,15 @@ def read_board_picture(
     return reading, image, section, known
 
 
-def read_as_stored(path: Path) -> Bytes:
-    """``read_picture``; where viewers turn the picture, a note says that it is not turned."""
+def read_as_stored(path: Path) -> Picture:
+    """``read_picture``; a note says what is not in the file: that it is not turned, its bits."""
     picture = read_picture(path)
+    if picture.dtype != np.uint8:
+        grey = grey_dn(picture)
+        note(
+            f"{path}: of 16 bit, taken for a camera's of {8 - round(np.log2(step_of(grey)))}, its "
+            f"brightest pixel at {grey.max():.1f} of 256 DN; state bits under [camera] of a rig"
+        )
     if turn := display_turn(path):
         note(
             f"{path}: viewers show it {turn} (EXIF orientation); it is taken as stored, and so are "
@@ -153,7 +159,7 @@ def read_as_stored(path: Path) -> Bytes:
 
 
 def plane_maps(
-    files: list[Path], most: int, image: Bytes, where: Path, rig: Rig | None = None
+    files: list[Path], most: int, image: Picture, where: Path, rig: Rig | None = None
 ) -> list[PlaneMap]:
     """The plane maps of no calibration file, or of as many as there are lines.
 
@@ -178,7 +184,7 @@ def plane_maps(
     return maps
 
 
-def picture_part(roi: str | None, mask: Path | None, image: Bytes) -> Mask | None:
+def picture_part(roi: str | None, mask: Path | None, image: Picture) -> Mask | None:
     """(H, W) mask of the part of a picture that the options name; None of the whole.
 
     roi: "u0,v0,u1,v1", two opposite corners in px, both of them in the part.  mask: a picture of
@@ -205,7 +211,7 @@ def picture_part(roi: str | None, mask: Path | None, image: Bytes) -> Mask | Non
             size = (picture.shape[1], picture.shape[0])
             allowed = f"{width} x {height} px, as the picture"
             raise InputError("is of another size", where=mask, value=size, allowed=allowed)
-        keep &= (picture if picture.ndim == 2 else picture.max(axis=2)) > 127
+        keep &= eight_bit(picture if picture.ndim == 2 else picture.max(axis=2)) > 127
     if not keep.any():
         raise InputError("leaves nothing of the picture", where="--mask", value=str(mask))
     return keep

@@ -24,11 +24,17 @@ Pixels = Annotated[int, Field(ge=16, le=MOST_SIDE_PX)]
 
 
 class CameraSection(Strict):
-    """Which camera, and how it is set.  ``options`` go to the driver, which checks them."""
+    """Which camera, and how it is set.  ``options`` go to the driver, which checks them.
+
+    bits: of a grey value.  From 10 on pictures are uint16, as ``records`` says; thresholds and
+    noise stay in DN, of which the range has 256 for any number of bits.
+    """
 
     driver: str
     width_px: Pixels = 640
     height_px: Pixels = 480
+    # Files made with pictures of 8 bits are as they were without the key.
+    bits: Literal[8, 10, 12, 14, 16] = Field(default=8, exclude_if=lambda bits: bits == 8)
     exposure_ms: Annotated[float, Field(gt=0, le=60_000)] = 20.0
     options: dict[str, Any] = Field(default_factory=dict)
 
@@ -36,6 +42,16 @@ class CameraSection(Strict):
     def size_px(self) -> tuple[int, int]:
         """(width, height) of every picture."""
         return self.width_px, self.height_px
+
+    @property
+    def step_dn(self) -> float:
+        """From one grey value to the next, DN."""
+        return 2.0 ** (8 - self.bits)
+
+    @property
+    def bytes_a_value(self) -> int:
+        """Of a grey value in a picture's array, or in its file: 1, or 2 for more than 8 bits."""
+        return 1 if self.bits == 8 else 2
 
 
 class TrackSection(Strict):

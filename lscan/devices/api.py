@@ -12,7 +12,7 @@ from pydantic import model_validator
 from lscan.config.documents import Strict, check
 from lscan.config.rig import RigFile
 from lscan.errors import DeviceError, InputError
-from lscan.records import Bytes
+from lscan.records import Picture
 
 LASER_MAY_BE_LIT = "the laser may still be lit: switch it off at its supply"
 """What is said wherever a laser could not be switched off."""
@@ -30,12 +30,13 @@ class Grab:
 
     Attributes
     ----------
-    image : (H, W) grey or (H, W, 3) RGB uint8 array
+    image : (H, W) grey or (H, W, 3) RGB array, uint8, or uint16 where ``camera.bits`` says more,
+        the camera's bits the uppermost
     time_s : float, s, of the camera's own clock
     exposure_ms : float, ms, as the camera reports it
     """
 
-    image: Bytes
+    image: Picture
     time_s: float
     exposure_ms: float
 

@@ -20,7 +20,8 @@ from scipy import ndimage
 from scipy.optimize import minimize_scalar
 
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Bytes, Floats, Ints, Mask
+from lscan.files.pictures import step_of
+from lscan.records import Floats, GreyValues, Ints, Mask
 
 BRIGHTEST_DN = 255
 ROUNDING_DN = 12**-0.5
@@ -73,12 +74,14 @@ class Levels:
     differences: (N,) independent differences of two values that the variance comes from; its
     relative standard uncertainty is ``sqrt(2 / differences)`` for Gaussian noise.
     clipped: (N,) share of values at either end of the range.
+    step_dn: (N,) steps in which the values come, 1 DN of a camera of 8 bits.
     """
 
     mean_dn: Floats
     variance: Floats
     differences: Floats
     clipped: Floats
+    step_dn: Floats
 
     def __add__(self, other: "Levels") -> "Levels":
         """The levels of both, one after the other."""
@@ -119,7 +122,7 @@ class PhotonTransfer:
     @property
     def read_is_rounding(self) -> bool:
         """Whether no noise beyond that of rounding was found in the dark."""
-        return self.read_dn <= ROUNDING_DN
+        return self.read_dn <= ROUNDING_DN * self.levels.step_dn.max()
 
     @property
     def read_at_most_dn(self) -> float:
@@ -150,7 +153,7 @@ class Linearity:
         return self.gamma - 1 > max(3 * self.gamma_sigma, LEAST_CURVE)
 
 
-def flicker(pictures: Bytes) -> Flicker | None:
+def flicker(pictures: GreyValues) -> Flicker | None:
     """The flicker of the light that pictures of a still scene show; None where it is no matter.
 
     Of a row the light changes by a share, so its grey values change together; noise of the rows
@@ -158,7 +161,7 @@ def flicker(pictures: Bytes) -> Flicker | None:
 
     Parameters
     ----------
-    pictures : (N, H, W) uint8, one channel, N at least 2
+    pictures : (N, H, W) DN, one channel, N at least 2
     """
     _require(pictures, 2)
     mean_dn = pictures.mean(axis=0)
@@ -178,10 +181,10 @@ def flicker(pictures: Bytes) -> Flicker | None:
     return Flicker(share, height / peak if peak else None)
 
 
-def grey_levels(pictures: Bytes) -> Levels:
+def grey_levels(pictures: GreyValues) -> Levels:
     """Levels of grey of a still scene, and how its pixels scatter.
 
-    pictures: (N, H, W) uint8, one channel, N at least 4; of an odd number the last is unused,
+    pictures: (N, H, W) DN, one channel, N at least 4; of an odd number the last is unused,
     and so are two where N is not a multiple of 4.  A change of the light between two pictures
     of a pair is taken out where it is the same everywhere in a level; a flicker, of each row.
     Levels that are clipped or rare are passed over; none may be left.
@@ -199,10 +202,10 @@ def grey_levels(pictures: Bytes) -> Levels:
     return levels[kept & (np.asarray(alike) >= LEAST_ALIKE)]
 
 
-def dark_level(pictures: Bytes) -> Levels:
+def dark_level(pictures: GreyValues) -> Levels:
     """The one level of pictures taken in the dark, clipped or not.
 
-    pictures: (N, H, W) uint8, one channel, N at least 2.
+    pictures: (N, H, W) DN, one channel, N at least 2.
     """
     _require(pictures, 2)
     paired = pictures[: len(pictures) // 2 * 2]
@@ -245,7 +248,7 @@ def photon_transfer(levels: Levels, dark: Levels | None = None) -> PhotonTransfe
             "dark parts, neither black nor white"
         )
     (gain, dark_variance), covariance, chi2 = _weighted_line(light, every)
-    read_dn = float(np.sqrt(max(dark_variance, ROUNDING_DN**2)))
+    read_dn = float(np.sqrt(max(dark_variance, (ROUNDING_DN * every.step_dn.max()) ** 2)))
     return PhotonTransfer(
         dark_dn=dark_dn,
         read_dn=read_dn,
@@ -267,7 +270,7 @@ def _weighted_line(light: Floats, levels: Levels) -> tuple[Floats, Floats, float
     model = levels.variance
     for _ in range(5):
         # No variance is smaller than that of rounding, so no level gets an endless weight.
-        sigma = share * np.maximum(model, ROUNDING_DN**2)
+        sigma = share * np.maximum(model, (ROUNDING_DN * levels.step_dn) ** 2)
         line, covariance = np.polyfit(light, levels.variance, 1, w=1 / sigma, cov="unscaled")
         model = np.asarray(np.polyval(line, light), dtype=float)
     chi2 = float((((levels.variance - model) / sigma) ** 2).sum() / max(len(light) - 2, 1))
@@ -321,7 +324,7 @@ def linearity(exposure_ms: Floats, mean_dn: Floats) -> Linearity:
     return replace(straight, gamma=gamma, gamma_sigma=float(np.sqrt(variance)))
 
 
-def _levels(pictures: Bytes, level: Ints, flickers: bool = False) -> Levels:
+def _levels(pictures: GreyValues, level: Ints, flickers: bool = False) -> Levels:
     """Mean and variance of the pixels of each level that has any.  level: (H · W,) which one."""
     flat, mean_dn = pictures.reshape(len(pictures), -1), pictures.mean(axis=0)
     _, level, pixels = np.unique(level, return_inverse=True, return_counts=True)
@@ -329,7 +332,7 @@ def _levels(pictures: Bytes, level: Ints, flickers: bool = False) -> Levels:
     # The drift of the light spends one degree of freedom of each pair, a flicker two of each row.
     free = 1 - 2 / pictures.shape[2] if flickers else 1.0
     differences = (len(flat) // 2 * (pixels - 1)) * free
-    clipped = (flat == 0) | (flat == BRIGHTEST_DN)
+    clipped = (flat == 0) | (flat >= BRIGHTEST_DN)
     squares = np.zeros(len(held))
     for first, second in _pairs(pictures):
         difference = first - second
@@ -342,10 +345,11 @@ def _levels(pictures: Bytes, level: Ints, flickers: bool = False) -> Levels:
         variance=squares / np.maximum(2 * differences, 1),
         differences=differences,
         clipped=np.asarray(ndimage.mean(clipped.mean(axis=0), level, held)),
+        step_dn=np.full(len(held), step_of(pictures)),
     )
 
 
-def _pairs(pictures: Bytes) -> Iterator[tuple[Floats, Floats]]:
+def _pairs(pictures: GreyValues) -> Iterator[tuple[Floats, Floats]]:
     return zip(pictures[::2].astype(float), pictures[1::2].astype(float), strict=False)
 
 
@@ -361,8 +365,9 @@ def _without_flicker(difference: Floats, mean_dn: Floats) -> Floats:
     return np.asarray(change - slope * grey)
 
 
-def _require(pictures: Bytes, fewest: int) -> None:
-    if pictures.ndim != 3 or pictures.dtype != np.uint8 or len(pictures) < fewest:
+def _require(pictures: GreyValues, fewest: int) -> None:
+    known = pictures.dtype in (np.uint8, np.float32)
+    if pictures.ndim != 3 or not known or len(pictures) < fewest:
         what = "cannot measure noise in these pictures"
-        allowed = f"uint8 of shape (N, H, W), N at least {fewest}"
+        allowed = f"uint8 or float32 of shape (N, H, W), N at least {fewest}"
         raise InputError(what, value=f"{pictures.dtype} of shape {pictures.shape}", allowed=allowed)

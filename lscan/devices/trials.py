@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from typing import Protocol, get_args, runtime_checkable
+from typing import Protocol, cast, get_args, runtime_checkable
 
 import cv2
 import numpy as np
@@ -27,8 +27,8 @@ from lscan.devices.photontransfer import (
     photon_transfer,
 )
 from lscan.errors import DeviceError, InputError, MeasurementError
-from lscan.files.pictures import colour_shift_px, linear_picture
-from lscan.records import Axis, Bytes, Floats, Progress
+from lscan.files.pictures import colour_shift_px, grey_dn, linear_picture
+from lscan.records import Axis, Floats, GreyValues, Picture, Progress
 
 # How late a camera's pictures come: from a change in view to the picture that shows it.
 #
@@ -146,7 +146,7 @@ def _switch(laser: LaserSwitch, lit: bool) -> None:
 
 def _grey(camera: Previewing) -> Floats:
     """The sum of the colours of the next picture, (H, W)."""
-    image = camera.preview().image.astype(float)
+    image = grey_dn(camera.preview().image).astype(float)
     return image if image.ndim == 2 else np.asarray(image.sum(axis=2))
 
 
@@ -251,7 +251,7 @@ def grab_series(
     channel: Channel,
     progress: Progress | None = None,
     gamma: Gamma = 1.0,
-) -> tuple[Bytes, Timing]:
+) -> tuple[GreyValues, Timing]:
     """Pictures of one colour, taken one after the other, and their timing.
 
     Parameters
@@ -269,7 +269,7 @@ def grab_series(
 
     Returns
     -------
-    (N, H, W) uint8, and Timing
+    (N, H, W) DN, uint8 or, of a camera of more bits, float32, and Timing
 
     Raises
     ------
@@ -287,7 +287,7 @@ def grab_series(
         grab = camera.grab()
         latencies_s.append(time.monotonic() - began_s)
         times_s.append(grab.time_s)
-        images.append(_one_colour(linear_picture(grab.image, gamma), channel))
+        images.append(grey_dn(_one_colour(linear_picture(grab.image, gamma), channel)))
         if progress is not None:
             progress(index + 1, pictures)
     intervals_s = np.diff(times_s)
@@ -303,7 +303,7 @@ def try_camera(
     camera: Camera,
     pictures: int,
     channel: Channel,
-    dark: Bytes | None = None,
+    dark: GreyValues | None = None,
     progress: Progress | None = None,
     laser: LaserSwitch | None = None,
     gamma: Gamma = 1.0,
@@ -321,7 +321,7 @@ def try_camera(
     channel : str
         As in ``stripe.channel``.
     dark : array, optional
-        (N, H, W) uint8, pictures of the same colour taken with the cap on.
+        (N, H, W) DN, pictures of the same colour taken with the cap on.
     progress : callable, optional
         Called with the number of pictures done, and of all, at the first exposure time.
     laser : LaserSwitch, optional
@@ -457,11 +457,11 @@ def _exposure_series(
     return reduce(add, levels), np.array(exposures_ms), used.mean(axis=1)
 
 
-def _one_colour(image: Bytes, channel: Channel) -> Bytes:
+def _one_colour(image: Picture, channel: Channel) -> Picture:
     if image.ndim == 2:
         return image
     if channel == "grey":
-        return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+        return cast(Picture, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY))
     return image[:, :, _COLOURS[channel]]
 
 

@@ -21,7 +21,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Bytes, Floats
+from lscan.files.pictures import eight_bit
+from lscan.records import Floats, Picture
 
 PALETTE: Mapping[str, str] = MappingProxyType(
     {
@@ -131,12 +132,12 @@ def svg(figure: Figure, key: str, alt: str) -> str:
     return _with_label(text, alt)
 
 
-def photograph(image: Bytes, overlay: str, alt: str) -> str:
+def photograph(image: Picture, overlay: str, alt: str) -> str:
     """The picture as an inline SVG element, with SVG shapes over it in pixel coordinates.
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB
     overlay : str, SVG elements whose coordinates are pixels (u, v)
     alt : str, its description
 
@@ -145,18 +146,20 @@ def photograph(image: Bytes, overlay: str, alt: str) -> str:
     InputError
         Where the array is no such picture.
     """
-    if image.dtype != np.uint8 or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
+    known = image.dtype in (np.uint8, np.uint16)
+    if not known or image.ndim not in (2, 3) or image.shape[2:] not in ((), (3,)):
         raise InputError(
             "not a picture",
             where="report",
             value=f"{image.dtype} array of shape {image.shape}",
-            allowed="(H, W) or (H, W, 3) uint8",
+            allowed="(H, W) or (H, W, 3) uint8 or uint16",
         )
     height, width = image.shape[:2]
     # JPEG without chroma subsampling: the laser's red line and coloured marks stay sharp.
     settings = [cv2.IMWRITE_JPEG_QUALITY, 90]
     settings += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    bgr = image if image.ndim == 2 else image[:, :, ::-1]
+    seen = eight_bit(image)
+    bgr = seen if seen.ndim == 2 else seen[:, :, ::-1]
     _, encoded = cv2.imencode(".jpg", np.ascontiguousarray(bgr), settings)
     data = base64.b64encode(encoded.tobytes()).decode("ascii")
     # The picture's corner is half a pixel up and left of the centre of its first pixel.

@@ -26,8 +26,8 @@ from lscan.files.disk import (
     reading_errors,
     require_within,
 )
-from lscan.files.pictures import MOST_BYTES, MOST_PX, read_header, read_png
-from lscan.records import Bytes, Mask, Status
+from lscan.files.pictures import MOST_BYTES, MOST_PX, eight_bit, read_header, read_png
+from lscan.records import Bytes, Mask, Picture, Status
 
 MANIFEST = "manifest.json"
 VERSION = 1
@@ -89,20 +89,20 @@ class DatasetPicture:
         """Width and height of the picture, as its file states them."""
         if (header := read_header(self._member("picture.png"))) is None:
             where = self._where("picture.png")
-            raise InputError("is not an 8-bit grey or RGB picture", where=where)
+            raise InputError("is not an 8- or 16-bit grey or RGB picture", where=where)
         return header.width_px, header.height_px
 
     @property
-    def picture(self) -> Bytes:
-        """(H, W, 3) RGB, as the webcam took it."""
-        image = read_png(self._member("picture.png"), self._where("picture.png"))
+    def picture(self) -> Picture:
+        """(H, W, 3) RGB, as the webcam took it, uint8, or uint16 of a camera of more bits."""
+        image = read_png(self._member("picture.png"), self._where("picture.png"), depth_bits=None)
         return image if image.ndim == 3 else np.repeat(image[..., np.newaxis], 3, axis=2)
 
     @property
     def labels(self) -> Bytes:
         """(H, W) classes, numbered as the manifest's ``classes`` say."""
         where, allowed = self._where("labels.png"), f"grey, {self.size_px[::-1]}"
-        labels = read_png(self._member("labels.png"), where)
+        labels = eight_bit(read_png(self._member("labels.png"), where))
         if labels.shape != self.size_px[::-1]:
             what = "is of another shape"
             raise InputError(what, where=where, value=labels.shape, allowed=allowed)

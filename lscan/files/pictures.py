@@ -9,15 +9,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from PIL import ExifTags, Image
 
 from lscan.errors import InputError
 from lscan.files.disk import read_bytes, write_atomically
-from lscan.records import Axis, Bytes
+from lscan.records import Axis, Bytes, Floats, GreyValues, Picture
 
 # How large the picture in a file is, read from its header before anything is decoded.
 #
@@ -185,29 +186,31 @@ _READERS: dict[bytes, Callable[[Any], PictureHeader | None]] = {
 # Picture files: read strictly, written whole or not at all; colour is RGB everywhere else.
 
 
-FORMATS = "PNG, JPEG, BMP, TIFF or WebP, 8 bit"
+FORMATS = "PNG, JPEG, BMP, TIFF or WebP, 8 or 16 bit"
 MOST_PX = 2**25
 """Of a picture whose size no rig states; finding a line in it takes 60 bytes a pixel."""
 MOST_BYTES = 4 * MOST_PX + 2**20
 """Of a picture's file: four channels of 8 bit, stored plainly, and what stands around them."""
 
 
-def read_picture(path: Path) -> Bytes:
-    """The picture in a file, (H, W) grey or (H, W, 3) RGB uint8.
+def read_picture(path: Path, bits: int | None = None) -> Picture:
+    """The picture in a file, (H, W) grey or (H, W, 3) RGB, uint8, or uint16 of a file of 16 bit.
 
     Parameters
     ----------
     path : Path, a file of FORMATS
+    bits : int, optional, of the camera that took a picture of 16 bit; found as ``aligned`` does by
+        default
 
     Raises
     ------
     InputError
-        The file is missing, is no picture, is not of 8 bit, or is larger than ``MOST_PX``, which is
-        known before it is decoded.
+        The file is missing, is no picture, is not of 8 or 16 bit, holds more than the camera's
+        bits, or is larger than ``MOST_PX``, which is known before it is decoded.
     """
     data = read_bytes(path, MOST_BYTES)
     header = read_header(data)
-    if header is not None and header.depth_bits != 8:
+    if header is not None and header.depth_bits not in (8, 16):
         value = f"{header.depth_bits} bit"
         raise InputError("has the wrong depth", where=path, value=value, allowed=FORMATS)
     if header is not None and too_large(header):
@@ -220,7 +223,8 @@ def read_picture(path: Path) -> Bytes:
     image = None if header is None else decode(data)
     if image is None:
         raise InputError("is not a picture that can be read", where=path, allowed=FORMATS)
-    return image if image.ndim == 2 else _rgb(image)
+    image = image if image.ndim == 2 else _rgb(image)
+    return image if image.dtype == np.uint8 else aligned(image, bits, where=path)
 
 
 def display_turn(path: Path) -> str:
@@ -250,9 +254,14 @@ _TURNS = {
 
 
 def read_png(
-    data: bytes, where: object, size_px: tuple[int, int] | None = None, *, whose: str = ""
-) -> Bytes:
-    """The picture, (H, W) grey or (H, W, 3) RGB uint8, of a PNG file that lscan wrote.
+    data: bytes,
+    where: object,
+    size_px: tuple[int, int] | None = None,
+    *,
+    whose: str = "",
+    depth_bits: Literal[8, 16] | None = 8,
+) -> Picture:
+    """The picture, (H, W) grey or (H, W, 3) RGB, uint8 or uint16, of a PNG file that lscan wrote.
 
     Parameters
     ----------
@@ -260,14 +269,16 @@ def read_png(
     where : the file, for the error
     size_px : tuple or None, (width, height), px, that it must have; None: ``MOST_PX`` at most
     whose : str, who states that size, such as ", as in the rig", for the error
+    depth_bits : int or None, 8, or 16 for a picture of more than 8 bits; None: either
 
     Raises
     ------
     InputError
-        It is no PNG of 8 bit, or of another size, which is known before it is decoded.
+        It is no PNG of that depth, or of another size, which is known before it is decoded.
     """
     header, image = read_header(data), None
-    if header is not None and (header.format, header.depth_bits) == ("PNG", 8):
+    depths = (8, 16) if depth_bits is None else (depth_bits,)
+    if header is not None and header.format == "PNG" and header.depth_bits in depths:
         size = header.width_px, header.height_px
         if size_px is not None and size != size_px:
             value, allowed = "{} by {} px".format(*size), "{} by {} px".format(*size_px)
@@ -275,15 +286,16 @@ def read_png(
                              allowed=f"{allowed}{whose}")  # fmt: skip
         image = decode(data) if size_px is not None or not too_large(header) else None
     if image is None or image.shape[2:] not in ((), (3,)):
-        what = "is not an 8-bit grey or RGB picture, or too large"
+        kind = {8: "an 8-bit", 16: "a 16-bit", None: "an 8- or 16-bit"}[depth_bits]
+        what = f"is not {kind} grey or RGB picture, or too large"
         raise InputError(what, where=where, allowed=f"PNG of {MOST_PX} px at most")
     return image if image.ndim == 2 else _rgb(image)
 
 
-def _rgb(image: Bytes) -> Bytes:
+def _rgb(image: Picture) -> Picture:
     """(H, W, 3) of what OpenCV decoded, without alpha; NumPy would take four times as long."""
     code = cv2.COLOR_BGRA2RGB if image.shape[2] == 4 else cv2.COLOR_BGR2RGB
-    return np.asarray(cv2.cvtColor(image, code), dtype=np.uint8)
+    return cast(Picture, cv2.cvtColor(image, code))
 
 
 def too_large(header: PictureHeader) -> bool:
@@ -296,7 +308,7 @@ def too_large(header: PictureHeader) -> bool:
     return header.width_px * header.height_px > MOST_PX
 
 
-def decode(data: bytes | Bytes, flags: int = cv2.IMREAD_UNCHANGED) -> Bytes | None:
+def decode(data: bytes | Bytes, flags: int = cv2.IMREAD_UNCHANGED) -> Picture | None:
     """The picture of a file whose header has been looked at, colour as BGR.
 
     Parameters
@@ -308,24 +320,24 @@ def decode(data: bytes | Bytes, flags: int = cv2.IMREAD_UNCHANGED) -> Bytes | No
 
     Returns
     -------
-    (H, W), (H, W, 3) or (H, W, 4) uint8, or None
-        None where it cannot be decoded, or not to 8 bit.
+    (H, W), (H, W, 3) or (H, W, 4) uint8 or uint16, or None
+        None where it cannot be decoded, or not to 8 or 16 bit.
     """
     try:
         image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error:  # such as of sizes that OpenCV itself refuses
         return None
-    return image if image is not None and image.dtype == np.uint8 else None
+    return image if image is not None and image.dtype in (np.uint8, np.uint16) else None
 
 
 def encode_picture(
-    image: Bytes, ending: str, parameters: Sequence[int] = (), where: object = None
+    image: Picture, ending: str, parameters: Sequence[int] = (), where: object = None
 ) -> bytes:
     """The file of a picture in a format.
 
     Parameters
     ----------
-    image : (H, W) grey or (H, W, 3) RGB uint8 array
+    image : (H, W) grey or (H, W, 3) RGB array, uint8 or uint16
     ending : str, of the format, such as ".png"
     parameters : sequence, as ``cv2.imencode`` takes them
     where : the file, for the error
@@ -348,13 +360,13 @@ def encode_picture(
     return data.tobytes()
 
 
-def write_picture(path: Path, image: Bytes) -> None:
+def write_picture(path: Path, image: Picture) -> None:
     """Write a picture in the format that the file's ending names; PNG without one.
 
     Parameters
     ----------
     path : Path, the file; replaced where it is there
-    image : (H, W) grey or (H, W, 3) RGB uint8 array
+    image : (H, W) grey or (H, W, 3) RGB array, uint8 or uint16
 
     Raises
     ------
@@ -364,18 +376,115 @@ def write_picture(path: Path, image: Bytes) -> None:
     write_atomically(path, encode_picture(image, path.suffix or ".png", where=path))
 
 
+# Pictures of more than 8 bits.
+
+
+STEPS_PER_DN = 256
+"""Of a uint16 picture, whose range is that of 256 DN, as every picture's."""
+CAMERA_BITS = (10, 12, 14, 16)
+
+
+def grey_dn(picture: Picture) -> GreyValues:
+    """The grey values in DN, same shape: a picture of 8 bits itself, a deeper one as float32.
+
+    Parameters
+    ----------
+    picture : array of any shape, uint8 or uint16
+    """
+    if picture.dtype == np.uint8:
+        return picture
+    return picture.astype(np.float32) * np.float32(1 / STEPS_PER_DN)
+
+
+def step_of(grey: GreyValues) -> float:
+    """The steps in DN in which grey values come: 1 of a picture of 8 bits, less of a deeper one.
+
+    1 too where they come in none, as those of a picture that was smoothed.
+
+    Parameters
+    ----------
+    grey : array of any shape, DN, as ``grey_dn`` gives them, or their differences
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> step_of(grey_dn(np.array([0, 16, 65520], np.uint16)))
+    0.0625
+    """
+    if np.issubdtype(grey.dtype, np.integer):
+        return 1.0
+    fine = grey * np.float32(STEPS_PER_DN)
+    with np.errstate(invalid="ignore"):
+        steps = fine.astype(np.int32)
+    used = int(np.bitwise_or.reduce(steps, axis=None)) if (steps == fine).all() else 0
+    return min(used & -used or STEPS_PER_DN, STEPS_PER_DN) / STEPS_PER_DN  # of the lowest bit used
+
+
+def eight_bit(picture: Picture) -> Bytes:
+    """The picture as a camera of 8 bits gives it, same shape; one of 8 bits itself.
+
+    Parameters
+    ----------
+    picture : array of any shape, uint8 or uint16
+    """
+    if picture.dtype == np.uint8:
+        return cast(Bytes, picture)
+    return (picture // STEPS_PER_DN).astype(np.uint8)
+
+
+def aligned(picture: Picture, bits: int | None = None, where: object = None) -> Picture:
+    """A picture of 16-bit numbers with its camera's bits the uppermost, same shape, uint16.
+
+    Programs and cameras store 12 bits either as numbers up to 4095 or as multiples of 16; the
+    lowest bits of the latter are all 0, which tells them.  Where the bits are not stated, numbers
+    that need 10, 12 or 14 bits are taken for those of such a camera: state the bits of pictures so
+    dark that they need fewer.
+
+    Parameters
+    ----------
+    picture : array of any shape, uint16
+    bits : int, optional, of the camera, 10 to 16; found from the picture by default
+    where : the file or camera, for the error
+
+    Raises
+    ------
+    InputError
+        The picture holds larger numbers than the camera's bits give.
+
+    References
+    ----------
+    Unpacked in the lower bits: PFNC 2.4 of EMVA, such as Mono12.  In the upper ones: ISO/IEC
+    15948 (PNG), 13.12, which scales samples to the full depth.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> aligned(np.array([0, 17, 4095], np.uint16))
+    array([    0,   272, 65520], dtype=uint16)
+    """
+    used = int(np.bitwise_or.reduce(picture, axis=None))
+    lowest = used & -used
+    if lowest >= 2 ** (16 - (bits or CAMERA_BITS[-2])):
+        return picture  # aligned already
+    bits = bits or next(each for each in CAMERA_BITS if used < 2**each)
+    if used >= 2**bits:
+        value, allowed = int(picture.max()), f"{2**bits - 1} at most, of {bits} bits"
+        raise InputError("has too large a grey value", where=where, value=value, allowed=allowed)
+    return picture * np.uint16(2 ** (16 - bits))
+
+
 # A camera's tone curve, undone.
 
 
-def linear_picture(picture: Bytes, gamma: float | Literal["srgb"]) -> Bytes:
+def linear_picture(picture: Picture, gamma: float | Literal["srgb"]) -> Picture:
     """The picture as the same camera would have taken it with grey values in proportion to light.
 
-    Rounded to whole DN, as a linear camera's are: at the dark end that is coarser than what the
+    Rounded to whole steps, as a linear camera's are: at the dark end that is coarser than what the
     curve had kept, by no more than the rounding that every noise here holds.
 
     Parameters
     ----------
-    picture : (H, W) or (H, W, 3) array, uint8, DN
+    picture : (H, W) or (H, W, 3) array, uint8 or uint16
     gamma : float or "srgb", the curve as ``stripe.gamma`` states it
 
     References
@@ -390,7 +499,9 @@ def linear_picture(picture: Bytes, gamma: float | Literal["srgb"]) -> Bytes:
     """
     if gamma == 1:
         return picture
-    return np.asarray(cv2.LUT(picture, linear_dn(gamma)), dtype=np.uint8)
+    if picture.dtype == np.uint8:
+        return np.asarray(cv2.LUT(picture, linear_dn(gamma)), dtype=np.uint8)
+    return _linear_steps(gamma)[picture]
 
 
 @lru_cache(maxsize=16)
@@ -401,12 +512,21 @@ def linear_dn(gamma: float | Literal["srgb"]) -> Bytes:
     ----------
     gamma : float or "srgb", as of ``linear_picture``
     """
-    share = np.arange(256) / 255
+    return np.rint(255 * _linear_share(np.arange(256) / 255, gamma)).astype(np.uint8)
+
+
+@lru_cache(maxsize=4)
+def _linear_steps(gamma: float | Literal["srgb"]) -> NDArray[np.uint16]:
+    """(65536,) the same for each of a deep picture's steps; what lies beyond 255 DN is clipped."""
+    share = np.minimum(np.arange(2**16) / (255 * STEPS_PER_DN), 1.0)
+    return np.rint(255 * STEPS_PER_DN * _linear_share(share, gamma)).astype(np.uint16)
+
+
+def _linear_share(share: Floats, gamma: float | Literal["srgb"]) -> Floats:
+    """Light for each grey value, both from 0 to 1."""
     if gamma == "srgb":
-        share = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
-    else:
-        share = share**gamma
-    return np.rint(255 * share).astype(np.uint8)
+        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
+    return share**gamma
 
 
 # Colours of half the resolution.
@@ -416,7 +536,7 @@ _LUMA = {"red": 0.299, "green": 0.587, "blue": 0.114}
 _HALVED = 8, 0.25  # every so many pixels along the line; steps within pairs, of those between them
 
 
-def colour_shift_px(picture: Bytes, channel: str, axis: Axis) -> float:
+def colour_shift_px(picture: Picture, channel: str, axis: Axis) -> float:
     """How far, at most, colours of half the resolution move a line that is read in one, across it.
 
     Coded as YUYV, NV12 and their like, two pixels share their colour, which is that of the first,
@@ -426,7 +546,7 @@ def colour_shift_px(picture: Bytes, channel: str, axis: Axis) -> float:
 
     Parameters
     ----------
-    picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    picture : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB
     channel : str, as ``stripe.channel``
     axis : str, "columns" or "rows", as ``stripe.axis``
 
@@ -446,7 +566,7 @@ def colour_shift_px(picture: Bytes, channel: str, axis: Axis) -> float:
         return 0.0
     every, most = _HALVED
     across = picture[::every] if axis == "rows" else picture[:, ::every].transpose(1, 0, 2)
-    steps = np.abs(np.diff(across[..., 0].astype(np.int16) - across[..., 2], axis=1))
+    steps = np.abs(np.diff(across[..., 0].astype(np.int32) - across[..., 2], axis=1))
     within, between = sorted((steps[:, ::2].sum(), steps[:, 1::2].sum()))
     luma = _LUMA.get(channel, 0.0)  # in an excess of one colour over others there is none
     return (1 - luma) / 2 if within < most * between else 0.0

@@ -16,12 +16,12 @@ from lscan.calibration.planemap import PlaneMap
 from lscan.config.board import Board
 from lscan.config.rig import Rig, SheetSection, StripeSection
 from lscan.errors import BoardNotFound, LscanError, MeasurementError
-from lscan.files.pictures import encode_picture
+from lscan.files.pictures import eight_bit, encode_picture
 from lscan.records import (
     BoardReading,
-    Bytes,
     Floats,
     GreyValues,
+    Picture,
     PlanePoints,
     Status,
     Stripe,
@@ -79,8 +79,8 @@ class Figures:
     profile: PlanePoints | None
 
 
-def measure_line(image: Bytes, settings: StripeSection, plane_map: PlaneMap | None) -> Figures:
-    """The line, the profile and the figures of one picture, (H, W) or (H, W, 3) RGB uint8.
+def measure_line(image: Picture, settings: StripeSection, plane_map: PlaneMap | None) -> Figures:
+    """The line, the profile and the figures of one picture, (H, W) or (H, W, 3) RGB.
 
     All but saturation and noise is taken from the band of the picture that holds the line, which is
     quicker; a column's background is then the band's, not the whole column's.
@@ -122,7 +122,7 @@ def band_of_line(grey: GreyValues, threshold_dn: float) -> slice:
     return slice(max(int(bright[0]) - BAND_PX, 0), min(int(bright[-1]) + BAND_PX, grey.shape[1]))
 
 
-def measure_picture(image: Bytes, settings: StripeSection) -> Figures:
+def measure_picture(image: Picture, settings: StripeSection) -> Figures:
     """Saturation and focus of a picture without a line, such as the board's."""
     lines = lines_of(image, settings.channel, settings.axis)
     grey = lines.grey.astype(np.float64)
@@ -199,7 +199,7 @@ class BoardFigures:
 
 
 def read_live_board(
-    image: Bytes, board: Board, rig: Rig, plane_map: PlaneMap | None
+    image: Picture, board: Board, rig: Rig, plane_map: PlaneMap | None
 ) -> BoardFigures:
     """The board as seen in ``image``, (H, W) or (H, W, 3) RGB uint8.
 
@@ -286,10 +286,10 @@ def picture_answer(document: dict[str, Any], jpeg: bytes) -> bytes:
     return struct.pack(">I", len(text)) + text + jpeg
 
 
-def jpeg_of(image: Bytes) -> bytes:
+def jpeg_of(image: Picture) -> bytes:
     """The picture, (H, W) grey or (H, W, 3) RGB, as JPEG."""
     return encode_picture(
-        image, ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY], where="the live page"
+        eight_bit(image), ".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY], where="the live page"
     )
 
 

@@ -11,7 +11,7 @@ from lscan.calibration.calibrate import Calibration, calibrate
 from lscan.config.rig import Rig
 from lscan.errors import InputError, LscanError
 from lscan.paper.published import CHOSEN_MAP
-from lscan.records import BoardReading, Bytes, Progress, Stripe
+from lscan.records import BoardReading, Picture, Progress, Stripe
 from lscan.stripe import extract_stripe
 
 # The records of the paper's whole experiment (Sec. IV), and what its board picture gives.
@@ -73,13 +73,13 @@ class BoardResult:
 
     Attributes
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, DN, the mean of the run's pictures
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, the mean of the run's pictures
     reading : BoardReading, px, its marks
     calibrations : mapping of Calibration, by the map's name
     measures : mapping of BoardMeasures, mm, by the map's name
     """
 
-    image: Bytes
+    image: Picture
     reading: BoardReading
     calibrations: Mapping[str, Calibration]
     measures: Mapping[str, pipeline.BoardMeasures]
@@ -91,11 +91,11 @@ class LinePictures:
 
     Attributes
     ----------
-    images : sequence of array, (H, W) or (H, W, 3) uint8, DN
+    images : sequence of array, (H, W) or (H, W, 3), uint8 or uint16
     stripe : Stripe, px, of the first
     """
 
-    images: Sequence[Bytes]
+    images: Sequence[Picture]
     stripe: Stripe
 
 

@@ -21,10 +21,11 @@ from lscan.config.rig import StripeSection
 from lscan.figures import style
 from lscan.figures.page import ReportFigure
 from lscan.files.disk import packaged_table
+from lscan.files.pictures import grey_dn
 from lscan.paper import published as paper
 from lscan.paper.experiment import BoardResult, LinePictures
 from lscan.paper.published import CHOSEN_MAP
-from lscan.records import BoardReading, Bytes, Floats, Status, Stripe, has_value
+from lscan.records import BoardReading, Floats, Picture, Status, Stripe, has_value
 
 # The report's figures as their words in figures.toml have them.
 
@@ -38,7 +39,7 @@ def figure_of(name: str, figure: Figure, /, **found: object) -> ReportFigure:
     return ReportFigure(**words, body=style.svg(figure, words["key"], words["alt"]))
 
 
-def photo_of(name: str, image: Bytes, overlay: str = "", /, **found: object) -> ReportFigure:
+def photo_of(name: str, image: Picture, overlay: str = "", /, **found: object) -> ReportFigure:
     """The picture as ``style.photograph`` has it, with the words of that name."""
     words = words_of(name, **found)
     return ReportFigure(**words, body=style.photograph(image, overlay, words["alt"]))
@@ -126,7 +127,7 @@ def _last_vertical_ruler(board: BoardResult) -> DrawnConversion | None:
     return vertical[-1] if vertical else None
 
 
-def board_picture(image: Bytes, reading: BoardReading) -> ReportFigure:
+def board_picture(image: Picture, reading: BoardReading) -> ReportFigure:
     """The calibration board as the camera sees it (Fig. 9), and how uneven its pitch is."""
     height, width = image.shape[:2]
     # Mean distance of neighbours in the highest and in the lowest row that hold some.
@@ -137,7 +138,7 @@ def board_picture(image: Bytes, reading: BoardReading) -> ReportFigure:
     return photo_of("board", image, width=width, height=height, pitch=reading.pitch_mm, **pitch)
 
 
-def control_points(image: Bytes, reading: BoardReading) -> ReportFigure:
+def control_points(image: Picture, reading: BoardReading) -> ReportFigure:
     """The marks that were found, and the boxes in which they were looked for (Fig. 12)."""
     grid = reading.grid
     found = f"{int(grid.found.sum())} of {len(grid.status)} control points"
@@ -291,12 +292,12 @@ def lit_column(pictures: LinePictures) -> int:
 
 
 @style.styled
-def column_intensities(images: Sequence[Bytes], column: int) -> ReportFigure:
+def column_intensities(images: Sequence[Picture], column: int) -> ReportFigure:
     """Intensities of one column over consecutive frames, with eq. (8)'s centres (Fig. 35).
 
     images: at most three frames, each (H, W) grey or (H, W, 3) RGB, whose red is shown.
     """
-    reds = [np.asarray(image if image.ndim == 2 else image[:, :, 0], float) for image in images]
+    reds = [grey_dn(image if image.ndim == 2 else image[:, :, 0]).astype(float) for image in images]
     relative = [_centre("centroid-relative", red, column) for red in reds]
     raw = [_centre("centroid", red, column) for red in reds]
     figure, (whole, close) = style.panels(2, (style.WIDTH_IN, 4.4), share_x=False)

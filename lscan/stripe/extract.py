@@ -12,13 +12,14 @@ from lscan.config.plugins import find_plugin_or_function, foreign_error, frames_
 from lscan.config.rig import StripeSection
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import write_atomically
-from lscan.files.pictures import linear_dn, linear_picture
+from lscan.files.pictures import eight_bit, linear_dn, linear_picture
 from lscan.records import (
     Axis,
     Bytes,
     Floats,
     GreyValues,
     Mask,
+    Picture,
     PlanePoints,
     Status,
     Stripe,
@@ -34,6 +35,7 @@ from lscan.stripe.picture import (
     difference_noise,
     faint_threshold,
     is_coded,
+    less,
     lines_of,
 )
 from lscan.stripe.returns import OneReturn, choose_return, withhold
@@ -43,7 +45,7 @@ _Value = TypeVar("_Value", bound=np.generic)
 
 
 def extract_stripe(
-    image: Bytes, settings: StripeSection, background: Bytes | None = None
+    image: Picture, settings: StripeSection, background: Picture | None = None
 ) -> Stripe:
     """The laser line in ``image``: one entry per column, or per row with ``axis="rows"``.
 
@@ -62,7 +64,7 @@ def extract_stripe(
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB
     settings : StripeSection, channel, axis, extractor, threshold and span; which of several lines
         is meant (``returns``); the camera's blur to be corrected for and the smoothing along the
         line, neither of which is done by default
@@ -114,6 +116,7 @@ def compile_lines() -> None:
         for name in ("centroid", "gaussian", "ml", "steger"):
             for dark in (None, np.zeros_like(picture)):
                 extract_stripe(picture, StripeSection(extractor=name, smooth_px=1.0), dark)
+            extract_stripe(16 * picture.astype(np.uint16), StripeSection(extractor=name))
 
 
 class _SeenPicture(NamedTuple):
@@ -124,7 +127,9 @@ class _SeenPicture(NamedTuple):
     known: StripeSection
 
 
-def _seen_picture(image: Bytes, settings: StripeSection, background: Bytes | None) -> _SeenPicture:
+def _seen_picture(
+    image: Picture, settings: StripeSection, background: Picture | None
+) -> _SeenPicture:
     light, known = _light(image, settings, background)
     white = light.white is not None and bool(light.white.any())
     return _SeenPicture(choose_return(light.grey.T, known, light.clipped.T, white), light, known)
@@ -141,7 +146,7 @@ def _doubt_by_target(stripe: Stripe, seen: _SeenPicture) -> Stripe:
 
 
 def _light(
-    image: Bytes, settings: StripeSection, background: Bytes | None
+    image: Picture, settings: StripeSection, background: Picture | None
 ) -> tuple[PictureLines, StripeSection]:
     """The picture's lines less those of the background, and the settings with noise and threshold.
 
@@ -172,7 +177,7 @@ def _light(
         background = linear_picture(background, settings.gamma)
         dark = lines_of(background, lit.channel, settings.axis, "background", lit.clipping_dn)
         taken_off.append(dark.grey)
-        grey, clipped = lit.grey.astype(np.int16) - dark.grey, lit.clipped & ~dark.clipped
+        grey, clipped = less(lit.grey, dark.grey), lit.clipped & ~dark.clipped
         # The target's edges, which shift the laser's light too, show in the background alone.
         others = dark.grey if lit.others is None else lit.others
         lit = replace(lit, grey=grey, clipped=clipped, others=others)
@@ -261,7 +266,7 @@ SAME_PX = 1.0  # two lines nearer to each other are one, found twice
 
 
 def extract_within(
-    image: Bytes, settings: StripeSection, keep: Mask, background: Bytes | None = None
+    image: Picture, settings: StripeSection, keep: Mask, background: Picture | None = None
 ) -> Stripe:
     """The laser line in a part of the picture; elsewhere the entries say NO_DATA.
 
@@ -270,7 +275,7 @@ def extract_within(
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB
     settings : StripeSection, as for ``extract_stripe``
     keep : (H, W) mask, of the pixels in which the line may lie
     background : array, optional, same shape as the image, the same view with the laser off
@@ -330,7 +335,7 @@ def told_apart(first: Stripe, last: Stripe) -> tuple[Stripe, Stripe]:
     return withhold(first, same), withhold(last, same)
 
 
-def _cut_off(image: Bytes, keep: Mask, axis: Axis) -> Bytes:
+def _cut_off(image: Picture, keep: Mask, axis: Axis) -> Picture:
     """The picture, at most as bright beyond the part as each column's median within it."""
     if keep.all():
         return image
@@ -338,7 +343,7 @@ def _cut_off(image: Bytes, keep: Mask, axis: Axis) -> Bytes:
     inside = keep if image.ndim == 2 else np.repeat(keep[:, :, None], 3, axis=2)
     # Of a masked array: a column of which nothing is kept has the median 0.
     level = np.ma.median(np.ma.array(image, mask=~inside), axis=across, keepdims=True).filled(0)
-    cut = np.minimum(image, level.astype(np.uint8))
+    cut = np.minimum(image, level.astype(image.dtype))
     return np.where(inside, image, cut)
 
 
@@ -419,7 +424,7 @@ _COLOURS = np.array([_COLOUR.get(code, _OTHER_COLOUR) for code in Status], dtype
 _EDGE_PX = 4
 
 
-def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
+def draw_stripe(image: Picture, stripe: Stripe) -> Bytes:
     """A copy of ``image`` as (H, W, 3) RGB with the stripe drawn over it.
 
     The pixel nearest each centre is green, or amber where the line is clipped.  A band of 4
@@ -428,7 +433,7 @@ def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB, the picture the stripe was found in
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB, in which the stripe was found
     stripe : Stripe, px
 
     Raises
@@ -437,7 +442,8 @@ def draw_stripe(image: Bytes, stripe: Stripe) -> Bytes:
         Where the picture is none or the stripe is not of its size.
     """
     check_picture(image, where="image")
-    canvas = np.dstack([image] * 3) if image.ndim == 2 else image.copy()
+    seen = eight_bit(image)
+    canvas = np.dstack([seen] * 3) if seen.ndim == 2 else seen.copy()
     # A view with one row per entry of the stripe: what is painted there is in the picture.
     lines = canvas.transpose(1, 0, 2) if stripe.axis == "columns" else canvas
     if len(stripe.status) != len(lines):

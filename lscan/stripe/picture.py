@@ -9,8 +9,8 @@ import numpy as np
 
 from lscan.config.rig import LineChannel, NoiseSection
 from lscan.errors import InputError
-from lscan.files.pictures import colour_shift_px
-from lscan.records import Axis, Bytes, Floats, GreyValues, Ints, Mask
+from lscan.files.pictures import colour_shift_px, grey_dn, step_of
+from lscan.records import Axis, Floats, GreyValues, Ints, Mask, Picture
 from lscan.stripe.loops.scatter import core_variance, count_second_differences, shot_and_speckle
 
 # The noise of a picture: as the rig file states it, or estimated from that picture alone.
@@ -111,16 +111,19 @@ def constant_variance(columns: GreyValues) -> float:
     columns : (W, H) array, DN, one column of the picture a row
     """
     sample = columns[sample_of(len(columns))]
+    step_dn = step_of(sample)
+    in_steps: GreyValues = sample if step_dn == 1 else sample / np.float32(step_dn)
     with np.errstate(invalid="ignore"):
-        grey = sample.astype(np.int16)
-    least = _SECOND_DIFFERENCE_GAIN * ROUNDING_VARIANCE
-    if (grey == sample).all():
+        grey: GreyValues = in_steps.astype(np.int16 if step_dn == 1 else np.int32)
+    rounding = ROUNDING_VARIANCE * step_dn**2
+    least = _SECOND_DIFFERENCE_GAIN * rounding
+    if (grey == in_steps).all():
         count = count_second_differences(grey, 2 * int(np.ptp(grey)))
-        sizes = np.arange(len(count), dtype=float)
+        sizes = step_dn * np.arange(len(count), dtype=float)
         variance = core_variance(sizes, count, least, _CUTS, _KEPT)
     else:  # those of single precision are rounded
         variance = robust_variance(np.diff(sample.astype(np.float64), n=2, axis=1), least)
-    return max(variance / _SECOND_DIFFERENCE_GAIN, ROUNDING_VARIANCE)
+    return max(variance / _SECOND_DIFFERENCE_GAIN, rounding)
 
 
 def sample_of(count: int) -> slice:
@@ -267,7 +270,7 @@ _EVEN_DN, _EVEN_SHARE = 8, 0.9  # grey values of a drawn frame differ by what lo
 _STEP_DN = 16  # a frame as dark as the picture is beside it does no harm
 
 
-def frame_px(lines: Bytes) -> tuple[int, int]:
+def frame_px(lines: GreyValues) -> tuple[int, int]:
     """Pixels that a bright frame covers at the beginning and at the end of a picture's lines.
 
     A frame is even along the whole edge of the picture and brighter than the pixels beside
@@ -276,14 +279,14 @@ def frame_px(lines: Bytes) -> tuple[int, int]:
 
     Parameters
     ----------
-    lines : (N, L) array, uint8, DN, pixels from one edge of the picture to the other
+    lines : (N, L) array, DN, pixels from one edge of the picture to the other
     """
     if lines.shape[1] <= 2 * _WIDEST_FRAME_PX + 1:
         return 0, 0
     return _depth(lines[:, : _WIDEST_FRAME_PX + 1]), _depth(lines[:, : -_WIDEST_FRAME_PX - 2 : -1])
 
 
-def without_frame(lines: Bytes, frame: tuple[int, int]) -> Bytes:
+def without_frame(lines: GreyValues, frame: tuple[int, int]) -> GreyValues:
     """The lines with the pixel beside the frame in place of the frame's.
 
     Parameters
@@ -294,11 +297,11 @@ def without_frame(lines: Bytes, frame: tuple[int, int]) -> Bytes:
     first, last = frame
     if first == last == 0:
         return lines
-    inside: Bytes = lines[:, first : lines.shape[1] - last]
+    inside = lines[:, first : lines.shape[1] - last]
     return np.pad(inside, ((0, 0), frame), mode="edge")
 
 
-def _depth(edge: Bytes) -> int:
+def _depth(edge: GreyValues) -> int:
     """Pixels of the frame in (N, n) pixels from the edge inwards."""
     if int(edge.max()) <= _STEP_DN:  # darker than any frame
         return 0
@@ -312,7 +315,8 @@ def _depth(edge: Bytes) -> int:
 
 
 CLIPPED_DN = 255
-"""Highest value an 8-bit picture can hold: such a pixel may have seen any amount of light."""
+"""Highest value an 8-bit picture can hold, and from where on a deeper one counts as clipped: such
+a pixel may have seen any amount of light."""
 
 _NEAR_END_DN = 250  # pictures that reach so far are clipped at 255 or not at all
 _LEAST_PLATEAU_DN = 32  # below it a plateau is darkness
@@ -332,7 +336,7 @@ _FAINT_DN = 4.0  # reading noise and rounding: a fainter flank says no more than
 _FEWEST_CRESTS = 8  # crests
 
 
-def clipping_level(lines: Bytes) -> int:
+def clipping_level(lines: GreyValues) -> int:
     """The grey value from which pixels are clipped: CLIPPED_DN unless the picture shows another.
 
     A camera whose range ends below 255 DN, as gain and coding can make it, shows a plateau: many
@@ -343,9 +347,9 @@ def clipping_level(lines: Bytes) -> int:
 
     Parameters
     ----------
-    lines : (N, L) array, uint8, DN, the pixels across the line, one row for each entry of the
-        stripe
+    lines : (N, L) array, DN, the pixels across the line, one row for each entry of the stripe
     """
+    lines = lines.astype(np.uint8, copy=False)
     highest = lines.max(axis=1)
     stray = int(_STRAY * lines.size)  # pixels that say nothing of the range's end
     least = 0 if stray >= len(highest) else int(np.partition(highest, -stray - 1)[-stray - 1])
@@ -372,7 +376,7 @@ def clipping_level(lines: Bytes) -> int:
     return level
 
 
-def _has_flat_crests(lines: Bytes, level: int) -> bool:
+def _has_flat_crests(lines: GreyValues, level: int) -> bool:
     """Whether most crests that reach the level stay there for some pixels, but not for many."""
     high = (lines >= level - 2).astype(np.uint8)
     wide = cv2.morphologyEx(high, cv2.MORPH_OPEN, np.ones((1, _WIDEST_PLATEAU_PX), np.uint8))
@@ -381,7 +385,7 @@ def _has_flat_crests(lines: Bytes, level: int) -> bool:
     return bool(flat >= _FEWEST_CRESTS and 2 * flat >= crest.any(axis=1).sum())
 
 
-def _has_cut_crests(lines: Bytes, level: int) -> bool:
+def _has_cut_crests(lines: GreyValues, level: int) -> bool:
     """Whether the flanks of most crests that reach the level rise as if to a far higher crest.
 
     A line narrower than _FLAT_PX is clipped on one or two pixels.  The two pixels on either side
@@ -434,9 +438,9 @@ class PictureLines:
     Attributes
     ----------
     channel : str, which was read, never "auto"
-    grey : (N, L) array, DN, the chosen channel: uint8, int16 for the excess of a colour, float
-        where a background was subtracted; row i is column i of the picture (``axis="columns"``)
-        or its row i (``axis="rows"``)
+    grey : (N, L) array, DN, the chosen channel: uint8, int16 for the excess of a colour and where
+        a background was subtracted, float32 of a picture of more than 8 bits; row i is column i of
+        the picture (``axis="columns"``) or its row i (``axis="rows"``)
     clipped : (N, L) mask, of the pixels at the end of the camera's range, in any colour that is
         part of the channel
     clipping_dn : int, DN, grey value at which the range ends
@@ -456,7 +460,7 @@ class PictureLines:
 
 
 def lines_of(
-    picture: Bytes,
+    picture: Picture,
     channel: LineChannel,
     axis: Axis,
     where: str = "picture",
@@ -466,7 +470,7 @@ def lines_of(
 
     Parameters
     ----------
-    picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    picture : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB
     channel : str, "red", "green", "blue", or "grey", which weighs the colours 0.299 R + 0.587 G +
         0.114 B; "red-excess" and its like, the colour less the brighter of the two others;
         "cyan-excess", the darker of green and blue less red, and "magenta-excess", that of red and
@@ -507,7 +511,7 @@ def lines_of(
     return PictureLines(channel, excess, clipped | white, level, white, others, shift_px)
 
 
-def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
+def strongest_excess(picture: Picture, axis: Axis) -> LineChannel:
     """The excess of the colour whose narrow peaks are the highest; grey where there is no colour.
 
     The highest narrow peak of each line of pixels is taken, what is wider than 61 px cut off,
@@ -516,7 +520,7 @@ def strongest_excess(picture: Bytes, axis: Axis) -> LineChannel:
 
     Parameters
     ----------
-    picture : (H, W) or (H, W, 3) array, uint8, DN, grey or RGB
+    picture : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB
     axis : str, "columns" or "rows"
     """
     if picture.ndim == 2 or bool((picture == picture[..., :1]).all()):
@@ -554,12 +558,12 @@ def _heights(excess: GreyValues) -> Floats:
     return np.asarray(narrow.max(axis=1), dtype=float)
 
 
-def check_picture(picture: Bytes, where: str) -> None:
+def check_picture(picture: Picture, where: str) -> None:
     """Refuse what is no picture of one pixel or more.
 
     Parameters
     ----------
-    picture : (H, W) or (H, W, 3) array, uint8, DN; anything else is refused
+    picture : (H, W) or (H, W, 3) array, uint8 or uint16; anything else is refused
     where : str, how the message names the picture
 
     Raises
@@ -569,19 +573,20 @@ def check_picture(picture: Bytes, where: str) -> None:
     """
     pixels = np.asarray(picture)
     shaped = pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] == 3)
-    if pixels is not picture or pixels.dtype != np.uint8 or not shaped or pixels.size == 0:
+    whole = pixels is picture and pixels.dtype in (np.uint8, np.uint16)
+    if not whole or not shaped or pixels.size == 0:
         found = f"{pixels.dtype} {pixels.shape}" if pixels is picture else type(picture).__name__
-        allowed = "uint8 array of shape (H, W) or (H, W, 3)"
+        allowed = "uint8 or uint16 array of shape (H, W) or (H, W, 3)"
         raise InputError("is not a picture", where=where, value=found, allowed=allowed)
 
 
-def check_pair(image: Bytes, background: Bytes | None) -> None:
-    """Refuse a picture that is none, and a background that is not one of the same shape.
+def check_pair(image: Picture, background: Picture | None) -> None:
+    """Refuse a picture that is none, and a background that is not one of the same shape and type.
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, DN
-    background : array, optional, same shape, the same view with the laser off
+    image : (H, W) or (H, W, 3) array, uint8 or uint16
+    background : array, optional, same shape and type, the same view with the laser off
 
     Raises
     ------
@@ -595,9 +600,14 @@ def check_pair(image: Bytes, background: Bytes | None) -> None:
     if background.shape != image.shape:
         what, allowed = "is not of the picture's shape", str(image.shape)
         raise InputError(what, where="background", value=background.shape, allowed=allowed)
+    if background.dtype != image.dtype:
+        what, allowed = "is not of the picture's type", str(image.dtype)
+        raise InputError(what, where="background", value=background.dtype, allowed=allowed)
 
 
-def _sensor_lines(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
+def _sensor_lines(
+    picture: Picture, channel: LineChannel, axis: Axis
+) -> tuple[GreyValues, GreyValues]:
     """(N, L) grey values of a sensor's channel, and of the brightest colour that is part of it."""
     if picture.ndim == 2:
         grey = brightest = _across(picture, axis)
@@ -611,13 +621,15 @@ def _sensor_lines(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Byt
     return grey, brightest
 
 
-def _others(picture: Bytes, channel: LineChannel, axis: Axis) -> tuple[Bytes, Bytes]:
+def _others(picture: Picture, channel: LineChannel, axis: Axis) -> tuple[GreyValues, GreyValues]:
     """(N, L) grey values of the brightest and the darkest colour that is not the channel's."""
     others = [cv2.extractChannel(picture, k) for k in range(3) if k not in _PLANES[channel]]
     return _across(reduce(cv2.max, others), axis), _across(reduce(cv2.min, others), axis)
 
 
-def _excess(own: Bytes, others: Bytes, least: Bytes, clipping_dn: int) -> tuple[GreyValues, Mask]:
+def _excess(
+    own: GreyValues, others: GreyValues, least: GreyValues, clipping_dn: int
+) -> tuple[GreyValues, Mask]:
     """(N, L) colour less the others, raised where the crest is white, and mask of those crests.
 
     A white crest with the line's colour on both sides is raised to what the colour is there, and
@@ -627,7 +639,7 @@ def _excess(own: Bytes, others: Bytes, least: Bytes, clipping_dn: int) -> tuple[
     range.  The rim of a white crest, up to _RIM_PX wide, is part of it: its colour is no more that
     of the line than the middle's.
     """
-    excess = own.astype(np.int16) - others
+    excess = less(own, others)
     # Pixels beside clipped ones are white as well: coding and blur take them below the end.
     bright = own >= _WHITE * clipping_dn
     lines = np.flatnonzero(bright.any(axis=1))
@@ -644,7 +656,7 @@ def _excess(own: Bytes, others: Bytes, least: Bytes, clipping_dn: int) -> tuple[
 
 
 def _raise_excess(
-    excess: GreyValues, others: Bytes, least: Bytes, bright: Mask
+    excess: GreyValues, others: GreyValues, least: GreyValues, bright: Mask
 ) -> tuple[GreyValues, Mask]:
     """The same of a part of the lines, ``bright`` where a colour nears the end of its range."""
     near = cv2.dilate(bright.astype(np.uint8), np.ones((1, 3), np.uint8)) > 0
@@ -663,7 +675,17 @@ def _raise_excess(
     return np.where(near, raised, excess), crest
 
 
-def _across(plane: object, axis: Axis) -> Bytes:
-    pixels = np.asarray(plane, dtype=np.uint8)
+def less(grey: GreyValues, other: GreyValues) -> GreyValues:
+    """The difference of two pictures' grey values, which may be below nought; same shape.
+
+    Parameters
+    ----------
+    grey, other : array, DN, uint8, or single precision of deeper pictures
+    """
+    return (grey.astype(np.int16) if grey.dtype == np.uint8 else grey) - other
+
+
+def _across(plane: object, axis: Axis) -> GreyValues:
+    pixels = grey_dn(cast(Picture, plane))
     turned = cv2.transpose(pixels) if axis == "columns" else np.ascontiguousarray(pixels)
-    return cast(Bytes, turned)
+    return cast(GreyValues, turned)

@@ -24,8 +24,8 @@ from lscan.config.plugins import refuse_code
 from lscan.config.rig import OpticsSection, Rig, StripeSection
 from lscan.errors import InputError
 from lscan.files.disk import parse_json
-from lscan.files.pictures import encode_picture, read_png
-from lscan.records import Bytes, Floats, Ints, Marks, Status
+from lscan.files.pictures import eight_bit, encode_picture, read_png
+from lscan.records import Bytes, Floats, Ints, Marks, Picture, Status
 
 MANIFEST = "suite.json"
 VERSION = 3
@@ -233,9 +233,9 @@ class CaseMembers:
         """Whether there is such a part."""
         return f"{self.case}/{part}" in self.known
 
-    def png(self, part: str) -> Bytes:
-        """The picture in a member."""
-        return read_png(*self._bytes_of(part))
+    def png(self, part: str, depth_bits: Literal[8] | None = 8) -> Picture:
+        """The picture in a member.  depth_bits: as ``read_png`` takes it."""
+        return read_png(*self._bytes_of(part), depth_bits=depth_bits)
 
     def table(self, table: Table, part: str) -> Floats:
         """The rows of the table in a member."""
@@ -267,7 +267,7 @@ def section_bytes(section: Strict) -> bytes:
     return f"{section.model_dump_json(indent=1)}\n".encode()
 
 
-def noisy_png(picture: Bytes) -> bytes:
+def noisy_png(picture: Picture) -> bytes:
     """The PNG of a picture with noise: a fifteenth smaller than by the usual compression."""
     level = (cv2.IMWRITE_PNG_COMPRESSION, 3)  # stated at all, each line has its own filter
     return encode_picture(
@@ -362,7 +362,7 @@ class SuiteCase:
     ----------
     name : str
     axes : mapping, the case's value on each of the suite's axes
-    picture : (H, W) or (H, W, 3) array, uint8, DN
+    picture : (H, W) or (H, W, 3) array, uint8 or uint16
     dark : as ``picture``, with the laser off; None where there is none
     labels : (H, W) array, uint8, class of each pixel (sim.datasets.labels.Label)
     truth : CaseTruth
@@ -372,8 +372,8 @@ class SuiteCase:
 
     name: str
     axes: Mapping[str, str]
-    picture: Bytes
-    dark: Bytes | None
+    picture: Picture
+    dark: Picture | None
     labels: Bytes
     truth: CaseTruth
     settings: StripeSection
@@ -399,8 +399,9 @@ class SuiteCase:
         ----------
         of : CaseMembers
         """
-        picture, labels = of.png(PICTURE), of.png(LABELS)
-        dark, light = (of.png(part) if of.has(part) else None for part in (DARK, LAYERS))
+        picture, labels = of.png(PICTURE, None), eight_bit(of.png(LABELS))
+        dark = of.png(DARK, None) if of.has(DARK) else None
+        light = eight_bit(of.png(LAYERS)) if of.has(LAYERS) else None
         truth, settings = of.table(LINE_TRUTH, TRUTH).T, of.section(StripeSection, SETTINGS)
         sizes = labels.shape == picture.shape[:2]
         sizes &= truth.shape[1] == picture.shape[settings.axis == "columns"]
@@ -422,7 +423,7 @@ class BoardCase:
     ----------
     name : str
     axes : mapping, the case's value on each of the axes of boards
-    picture : (H, W) or (H, W, 3) array, uint8, DN
+    picture : (H, W) or (H, W, 3) array, uint8 or uint16
     board : Board, as it was made
     optics : OpticsSection, what its owner knows of camera and port
     marks : Marks, the grid row by row, then the rulers' in their order, where their centres truly
@@ -434,7 +435,7 @@ class BoardCase:
 
     name: str
     axes: Mapping[str, str]
-    picture: Bytes
+    picture: Picture
     board: Board
     optics: OpticsSection
     marks: Marks
@@ -470,7 +471,7 @@ class BoardCase:
         pixels = np.where(shown[:, np.newaxis], marks[:, 2:4], np.nan)
         sigma = np.where(shown, 0.0, np.nan)
         return cls(
-            of.case, of.axes, of.png(PICTURE), board, of.section(OpticsSection, OPTICS),
+            of.case, of.axes, of.png(PICTURE, None), board, of.section(OpticsSection, OPTICS),
             Marks(marks[:, :2], pixels, sigma, status.astype(np.int64)),
             places[:, :2], places[:, 2:],
         )  # fmt: skip
@@ -485,7 +486,7 @@ class ScanCase:
     name : str
     axes : mapping, the case's value on each of the axes of scans
     board : BoardCase
-    frames : tuple of (H, W) or (H, W, 3) array, uint8, DN; F of them
+    frames : tuple of (H, W) or (H, W, 3) array, uint8 or uint16; F of them
     rig : Rig, what its owner knows of it; its plan says where the pictures were taken
     line_mm : (F, N, 2) array, mm, (x, z) on the laser sheet of what each column truly shows, in the
         frame that the board marks on it; NaN where the line is not to be seen
@@ -500,7 +501,7 @@ class ScanCase:
     name: str
     axes: Mapping[str, str]
     board: BoardCase
-    frames: tuple[Bytes, ...]
+    frames: tuple[Picture, ...]
     rig: Rig
     line_mm: Floats
     height_dn: Floats
@@ -511,7 +512,7 @@ class ScanCase:
     needed: ClassVar = (*BoardCase.needed, RIG, LINE)
 
     @property
-    def picture(self) -> Bytes:
+    def picture(self) -> Picture:
         """The picture in the middle of the scan, to look at."""
         return self.frames[len(self.frames) // 2]
 
@@ -543,7 +544,7 @@ class ScanCase:
         """
         board, rig = BoardCase.read(of), of.section(Rig, RIG)
         size = (rig.camera.height_px, rig.camera.width_px)
-        frames = tuple(of.png(FRAME.format(k)) for k in range(rig.plan.frames))
+        frames = tuple(of.png(FRAME.format(k), None) for k in range(rig.plan.frames))
         points = of.table(POINTS_TRUTH, LINE)
         shape = len(frames), size[rig.stripe.axis == "columns"]
         sizes = {picture.shape[:2] for picture in (board.picture, *frames)}

@@ -10,7 +10,8 @@ from lscan.config.documents import Document
 from lscan.config.rig import inline_board, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.errors import InputError
-from lscan.records import Bytes, Floats, Ints, Mask, Status
+from lscan.files.pictures import eight_bit
+from lscan.records import Floats, Ints, Mask, Picture, Status
 from lscan.suites import BoardCase, CaseTruth, LightLayers, ScanCase, SuiteCase
 from sim.datasets.labels import label_scene, lit_truths, one_step_w_m2_sr
 from sim.devices import exposure_of
@@ -31,8 +32,8 @@ from sim.truth import (
 
 def _expose(
     scene: Scene, layers: Layers, *stream: int, exposure_ms: float | None = None
-) -> tuple[Bytes, float]:
-    """What the scene's webcam takes of rendered light, uint8, and how long it exposes it, ms.
+) -> tuple[Picture, float]:
+    """What the scene's webcam takes of rendered light, and how long it exposes it, ms.
 
     stream: of the noise, beside the sensor's seed.  exposure_ms: None: as the scene says.
     """
@@ -182,14 +183,14 @@ def turned_case(case: SuiteCase) -> SuiteCase:
     case : SuiteCase, of a line across the columns
     """
 
-    def swap_axes(image: Bytes) -> Bytes:
+    def swap_axes(image: Picture) -> Picture:
         return np.ascontiguousarray(np.swapaxes(image, 0, 1))
 
     return replace(
         case,
         picture=swap_axes(case.picture),
         dark=None if case.dark is None else swap_axes(case.dark),
-        labels=swap_axes(case.labels),
+        labels=eight_bit(swap_axes(case.labels)),
         layers=None if case.layers is None else case.layers.transpose(),
         settings=case.settings.model_copy(update={"axis": "rows"}),
     )
@@ -254,7 +255,7 @@ def scan_cases(first: ScanScenes, cases: Sequence[ScanScenes]) -> list[ScanCase]
         raise InputError("scans: laser", where=first.scan.source, allowed="one line, that is on")
     board = Tank(first.board).render(first.board.rig.plan.start_mm)
     positions = plan.positions_mm()
-    frames: list[list[tuple[Bytes, float]]] = [[] for _ in cases]
+    frames: list[list[tuple[Picture, float]]] = [[] for _ in cases]
     tank = Tank(first.scan)
     for number, position_mm in enumerate(positions):
         moment = at_moment(first.scan, number, position_mm)
@@ -294,7 +295,7 @@ def _slices(scene: Scene) -> tuple[Floats, Ints]:
 def _case(
     case: ScanScenes,
     board: Layers,
-    frames: Sequence[tuple[Bytes, float]],
+    frames: Sequence[tuple[Picture, float]],
     truths: Sequence[StripeTruth],
     slices: tuple[Floats, Ints],
 ) -> ScanCase:

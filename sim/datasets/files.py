@@ -17,7 +17,7 @@ from lscan.config.documents import Document, write_toml
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
-from lscan.records import Bytes, Floats, Mask, Progress, Status
+from lscan.records import Floats, Mask, Picture, Progress, Status
 from sim.scene import SECTIONS, Scene, at_moment, camera_pose, rotation, scene_of, sheet_pose
 from sim.scene.file import check_samples, is_changing
 from sim.truth import board_truth, line_brightness, project, stripe_truths
@@ -324,7 +324,7 @@ def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> d
     return files
 
 
-def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Bytes, Bytes]:
+def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Picture, Picture]:
     """Two pictures, (H, W, 3) RGB: with the lamps alone, and with lamps and laser.
 
     The head stands at track position 0.  Light adds up, so one render serves both, and so does

@@ -97,6 +97,7 @@ def _refuse_change(scene: Scene) -> None:
         "track_errors and change": (is_changing(scene), "neither"),
         "head.speed_mm_s": (scene.tank.head.speed_mm_s != 0, "0"),
         "camera.options.auto_exposure": (camera_options(scene).auto_exposure, "false"),
+        "camera.bits": (scene.rig.camera.bits > 8, "8, as its stream is of JPEG pictures"),
         "sensor.noise": (not scene.tank.sensor.noise, "true: a camera without noise looks stuck"),
     }
     for key, (is_so, allowed) in refused.items():

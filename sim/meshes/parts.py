@@ -13,8 +13,8 @@ from shapely.geometry import MultiPolygon, Polygon, box
 
 from lscan.config.targets import GroovedBlock, Sandwave
 from lscan.errors import InputError
-from lscan.files.pictures import read_picture
-from lscan.records import Bytes, Floats, Ints
+from lscan.files.pictures import grey_dn, read_picture
+from lscan.records import Floats, GreyValues, Ints
 from sim.scene import Pose
 from sim.scene.matter import Ripples, RoughBlock, Sand, Texture
 
@@ -159,7 +159,7 @@ def picture_paint(texture: Texture, plan_mm: Floats) -> Paint:
     """
     picture = read_picture(Path(texture.file))
     uv = (plan_mm - np.array(texture.corner_mm)) / np.array(texture.size_mm)
-    return Paint(luminance(picture) / 255, uv)
+    return Paint(np.minimum(luminance(grey_dn(picture)) / 255, 1.0), uv)
 
 
 def vertex_paint(mesh: trimesh.Trimesh) -> Paint | None:
@@ -173,7 +173,7 @@ def vertex_paint(mesh: trimesh.Trimesh) -> Paint | None:
     return Paint(RAMP, np.column_stack([0.25 + 0.5 * levels, np.full(len(levels), 0.5)]))
 
 
-def luminance(image: Bytes) -> Floats:
+def luminance(image: GreyValues) -> Floats:
     """Grey level, 0 to 255, of a (H, W) grey picture, or of (..., 3) linear RGB."""
     return image.astype(float) if image.shape[-1:] != (3,) else image @ np.array(LUMINANCE)
 

@@ -218,6 +218,10 @@ def scene_of(rig_file: RigFile) -> Scene:
     _check_target(scene)
     check_lens(scene)
     check_changes(scene)
+    if scene.rig.camera.bits > 8 and sensor.jpeg_quality is not None:
+        what = "sensor.jpeg_quality: JPEG holds 8 bits a colour"
+        allowed = "camera.bits = 8, or no jpeg_quality"
+        raise InputError(what, where=scene.source, value=scene.rig.camera.bits, allowed=allowed)
     return scene
 
 

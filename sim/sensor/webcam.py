@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from lscan.errors import InputError
-from lscan.records import Bytes
+from lscan.files.pictures import STEPS_PER_DN, eight_bit
+from lscan.records import Bytes, Picture as RgbPicture
 from sim.render.layers import binned, fineness_of, finer_lens
 from sim.scene import Lens, Scene
 from sim.scene.instrument import FULL_SCALE_DN, Response, Sensor
@@ -62,7 +63,7 @@ class StillView:
     contrast: float
 
     def picture(self, generator: np.random.Generator) -> Bytes:
-        """The next picture, (H, W, 3) uint8, RGB.
+        """The next picture, (H, W, 3) uint8, RGB, whatever the camera's bits.
 
         Parameters
         ----------
@@ -77,7 +78,7 @@ class StillView:
                 speckle = speckle[..., np.newaxis]
             expected[self.first_row : self.first_row + height] += self.direct * speckle
         read = read_out(expected, self.sensor, self.pattern, generator)
-        return digitise(read, self.sensor, self.filter)
+        return eight_bit(digitise(read, self.sensor, self.filter))
 
 
 # The lens's point spread: a core, and the glare around it.
@@ -120,7 +121,7 @@ class Webcam:
         self.lens, self.sensor = scene.tank.lens, scene.tank.sensor
         self.wavelength_nm = scene.tank.laser.wavelength_nm
         camera = scene.rig.camera
-        self._shape = (camera.height_px, camera.width_px)
+        self._shape, self._bits = (camera.height_px, camera.width_px), camera.bits
         self._fine = cache(self._fine_lens)
         self._contrast = lru_cache(1)(self._speckle_contrast)
         bayer = self.sensor.bayer
@@ -134,8 +135,8 @@ class Webcam:
         exposure_ms: float,
         generator: np.random.Generator,
         wavelength_nm: float | None = None,
-    ) -> Bytes:
-        """The picture of the layers, (H, W, 3) uint8, RGB.
+    ) -> RgbPicture:
+        """The picture of the layers, (H, W, 3), RGB, uint8, or uint16 of more than 8 bits.
 
         With ``noise = false`` nothing is random: no speckle, no fixed pattern either.
 
@@ -162,7 +163,8 @@ class Webcam:
         if self._pattern is not None:
             expected = with_pattern(electrons, self._pattern)
             electrons = read_out(expected, self.sensor, self._pattern, generator)
-        return through_jpeg(digitise(electrons, self.sensor, self._filter), self.sensor)
+        picture = digitise(electrons, self.sensor, self._filter, self._bits)
+        return through_jpeg(picture, self.sensor)
 
     def without_noise(self) -> Webcam:
         """The same webcam with the speckle that it has, but no noise of its own."""
@@ -480,7 +482,7 @@ def _gather(plane: Picture, colour: str) -> Picture:
     return np.asarray(gathered, dtype=np.float32)
 
 
-# From electrons to the bytes of a picture: full well, gain, gamma, 8 bit, MJPEG.
+# From electrons to the bytes of a picture: full well, gain, gamma, 8 bits or more, MJPEG.
 
 
 SUBSAMPLING = {
@@ -490,16 +492,20 @@ SUBSAMPLING = {
 }
 
 
-def digitise(electrons: Picture, sensor: Sensor, colours: ColourFilter | None = None) -> Bytes:
-    """Digital numbers of the electrons: full well, gain, filled in colours, gamma, 8 bit, frame.
+def digitise(
+    electrons: Picture, sensor: Sensor, colours: ColourFilter | None = None, bits: int = 8
+) -> RgbPicture:
+    """Digital numbers of the electrons: full well, gain, filled in colours, gamma, bits, frame.
 
-    The same shape; (H, W, 3) RGB of the (H, W) electrons behind a colour filter.
+    The same shape; (H, W, 3) RGB of the (H, W) electrons behind a colour filter.  More bits divide
+    a DN further; the range ends where it ends with 8.
 
     Parameters
     ----------
     electrons : array, electrons read out
     sensor : Sensor, its gain, gamma, black level, full well, range and frame
     colours : ColourFilter or None, the filter before the pixels
+    bits : int, of the camera, 8 to 16: from 10 on the picture is uint16
     """
     linear = np.minimum(electrons, np.float32(sensor.full_well_e))
     linear *= np.float32(_gain(sensor))
@@ -510,9 +516,16 @@ def digitise(electrons: Picture, sensor: Sensor, colours: ColourFilter | None = 
         linear = colours.demosaic(linear)
     if sensor.gamma != 1:
         linear = FULL_SCALE_DN * (linear / FULL_SCALE_DN) ** (1 / sensor.gamma)
-    image = np.minimum(np.rint(linear, out=linear).astype(np.uint8), np.uint8(sensor.clips_dn))
+    if bits == 8:
+        image = np.minimum(np.rint(linear, out=linear).astype(np.uint8), np.uint8(sensor.clips_dn))
+        dn = 1
+    else:
+        np.minimum(linear, np.float32(sensor.clips_dn), out=linear)
+        steps = np.rint(linear * np.float32(2 ** (bits - 8)))
+        image = steps.astype(np.uint16) * np.uint16(2 ** (16 - bits))
+        dn = STEPS_PER_DN
     if sensor.frame_dn is not None:
-        image[[0, -1]] = image[:, [0, -1]] = sensor.frame_dn
+        image[[0, -1]] = image[:, [0, -1]] = dn * sensor.frame_dn
     return image
 
 
@@ -530,17 +543,18 @@ def electrons_of(dn: float, sensor: Sensor) -> float:
     return min((linear - sensor.black_level_dn) / _gain(sensor), sensor.full_well_e)
 
 
-def through_jpeg(image: Bytes, sensor: Sensor) -> Bytes:
+def through_jpeg(image: RgbPicture, sensor: Sensor) -> RgbPicture:
     """The picture coded and decoded as one of MJPEG's; unchanged without one.
 
     Parameters
     ----------
-    image : (H, W, 3) uint8 array, RGB
+    image : (H, W, 3) array, RGB, uint8 where the sensor states a quality
     sensor : Sensor, its quality and subsampling
     """
     if sensor.jpeg_quality is None:
         return image
-    return from_jpeg(jpeg_bytes(image, sensor.jpeg_quality, sensor.jpeg_subsampling))
+    coded = jpeg_bytes(eight_bit(image), sensor.jpeg_quality, sensor.jpeg_subsampling)
+    return from_jpeg(coded)
 
 
 def jpeg_bytes(image: Bytes, quality: int, subsampling: str) -> bytes:

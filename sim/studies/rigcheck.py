@@ -37,7 +37,6 @@ STEP_MM = 0.01  # of differences of the projection
 CORE_WIDTHS, LEAST_CORE_PX, BESIDE_PX = 3.0, 4, (5, 10)
 WIDEST_PX = 4.0  # that the bound is worked out for
 LEAST_WIDTH_PX = 0.3  # a line as thin as can be, spread by a pixel alone
-ROUNDING_DN2 = 1 / 12
 CLIPPED_SHARE = 0.05  # of the line: more wants a shorter exposure
 SHARES = 0.05, 0.5, 0.95  # of the line's columns, that are told
 UNLIKE = 1.2  # times, by which a stated noise may be off before it is named
@@ -212,8 +211,9 @@ def _line_light(scene: Scene, truth: StripeTruth, entry: Ints, position_mm: floa
     # The core's light over its height: a Gaussian's is sqrt(2 pi) times its standard deviation.
     width = (light[:, core] - ground[:, np.newaxis]).sum(axis=1) / height / np.sqrt(2 * np.pi)
     width = np.maximum(width, LEAST_WIDTH_PX)
+    rounding = scene.rig.camera.step_dn**2 / 12
     colours = float((weights**2).sum())  # of noise: a mean of colours has less
-    read = colours * (gain**2 * (sensor.dark_noise_e**2 + sensor.dsnu_e**2) + ROUNDING_DN2)
+    read = colours * (gain**2 * (sensor.dark_noise_e**2 + sensor.dsnu_e**2) + rounding)
     shot = colours * gain
     beside = read + shot * ground + colours * (sensor.prnu * ground) ** 2
     share = of_line[:, core].max(axis=1) / crest
@@ -294,8 +294,11 @@ def _doubts(found: RigCheck) -> Iterator[str]:
     if sensor.gamma != 1 and stripe.gamma == 1:
         yield f"sensor.gamma = {sensor.gamma:g}, which stripe.gamma does not state"
     if stripe.noise is not None and sensor.noise:
-        gain = sensor.gain * FULL_SCALE_DN / sensor.full_well_e
-        read = float(np.sqrt(gain**2 * (sensor.dark_noise_e**2 + sensor.dsnu_e**2) + 1 / 12))
+        gain, rounding = (
+            sensor.gain * FULL_SCALE_DN / sensor.full_well_e,
+            scene.rig.camera.step_dn**2 / 12,
+        )
+        read = float(np.sqrt(gain**2 * (sensor.dark_noise_e**2 + sensor.dsnu_e**2) + rounding))
         true = {"read_dn": read, "dn_per_electron": gain, "speckle": _contrast(scene)}
         for key, value in true.items():
             stated = getattr(stripe.noise, key)

@@ -567,11 +567,12 @@ def _noise_dn(scene: Scene, weights: Floats, electrons: Floats, speckle_e: Float
     """(N,) standard deviation in DN of pixels that expect (3, N) electrons.
 
     EMVA 1288: shot noise of the electrons, dark noise, their differences in sensitivity and
-    offset; rounding to whole DN adds 1/12 DN2.  speckle_e: (3, N) electrons, in step in all
+    offset; rounding to steps of s DN adds s2/12 DN2.  speckle_e: (3, N) electrons, in step in all
     colours.
     """
     sensor, slope = scene.tank.sensor, _grey(scene, electrons)[1]
-    variance = np.full(electrons.shape[1], float(weights**2 @ np.full(3, 1 / 12)))
+    rounding = scene.rig.camera.step_dn**2 / 12
+    variance = np.full(electrons.shape[1], float(weights**2 @ np.full(3, rounding)))
     if sensor.noise:
         own = electrons + sensor.dark_noise_e**2 + sensor.dsnu_e**2
         own = own + (sensor.prnu * electrons) ** 2

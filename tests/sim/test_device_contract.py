@@ -6,17 +6,17 @@ import pytest
 from device_contract import CameraContract, TrackContract
 from places import SCENES
 
-from lscan.config.rig import load_rig, parse_rig
+from lscan.config.rig import RigFile, load_rig, parse_rig
 from sim.devices import SimCamera, SimTrack, camera_driver, track_driver
 
 SCENE = SCENES / "paper" / "groove.toml"
 SIZE_PX = (96, 72)
 
 
-def small_rig():
+def small_rig(bits: int = 8) -> RigFile:
     """The grooved block at a size that renders in a moment."""
     document = dict(load_rig(SCENE).document)
-    document["camera"] = {**document["camera"], "width_px": 96, "height_px": 72}
+    document["camera"] = {**document["camera"], "width_px": 96, "height_px": 72, "bits": bits}
     document["lens"] = {**document["lens"], "focal_px": 127.5, "centre_px": [47.5, 35.5]}
     document["render"] = {"samples": 1, "scatter_samples": 0}
     return parse_rig(document, source="small")
@@ -44,9 +44,13 @@ class TestSimCamera(CameraContract):
 
     @pytest.fixture
     def camera(self) -> Iterator[SimCamera]:
-        rig_file = small_rig()
+        rig_file = small_rig(self.bits)
         track = track_driver.open(rig_file)
         camera = camera_driver.open(rig_file, track)
         yield camera
         camera.close()
         track.close()
+
+
+class TestDeepSimCamera(TestSimCamera):
+    bits = 12

@@ -38,6 +38,9 @@ class CameraContract:
     grabs = 4
     """Pictures taken where a test needs several."""
 
+    bits = 8
+    """Of a grey value; from 10 on the uppermost of 16."""
+
     def test_is_a_camera(self, camera: Camera) -> None:
         assert isinstance(camera, Camera)
 
@@ -46,7 +49,8 @@ class CameraContract:
         width, height = camera.size_px
         for _ in range(self.grabs):
             image = camera.grab().image
-            assert image.dtype == np.uint8
+            assert image.dtype == (np.uint8 if self.bits == 8 else np.uint16)
+            assert self.bits == 8 or not (image % 2 ** (16 - self.bits)).any()
             assert image.shape in ((height, width), (height, width, 3))
 
     def test_all_pictures_have_the_same_channels(self, camera: Camera) -> None:
@@ -72,7 +76,7 @@ class CameraContract:
         """Of the same size and channels, taken after the one before, with the same exposure."""
         lit = camera.grab(0)
         dark = camera.grab(0, dark=True)
-        assert dark.image.dtype == np.uint8
+        assert dark.image.dtype == lit.image.dtype
         assert dark.image.shape == lit.image.shape
         assert dark.exposure_ms == lit.exposure_ms
         assert lit.time_s < dark.time_s < camera.grab(1).time_s
@@ -80,7 +84,7 @@ class CameraContract:
     def test_a_preview_is_a_picture_like_any_other(self, camera: Camera) -> None:
         previewing = _previewing(camera)
         shown, grabbed = previewing.preview(), camera.grab()
-        assert shown.image.dtype == np.uint8
+        assert shown.image.dtype == grabbed.image.dtype
         assert shown.image.shape == grabbed.image.shape
         assert shown.exposure_ms == grabbed.exposure_ms
 

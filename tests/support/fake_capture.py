@@ -29,7 +29,8 @@ class World:
     delay: pictures that are under way in the camera.  closes: times after the first opening
     that it cannot be opened.  stamps: it reports when it took a picture, else only 0; stamp: what
     its clock makes of that time.
-    obeys: what a setting becomes; by default what was asked.
+    obeys: what a setting becomes; by default what was asked.  bits: of a grey value, from 10 on in
+    the lower of 16 where nothing is converted.
     """
 
     scene: int = 1
@@ -40,6 +41,7 @@ class World:
     stamps: bool = False
     stamp: Callable[[float], float] = lambda exposed_s: exposed_s
     grey: bool = False
+    bits: int = 8
     obeys: Callable[[int, float], float] = lambda _, value: value
     last: Bytes | None = None
     reads: int = 0
@@ -99,7 +101,7 @@ class FakeCapture:
             raise cv2.error("the driver broke\n in two lines")
         if fault == "same" and world.last is not None:
             return True, world.last
-        world.last = _spoilt(self._picture(), fault)
+        world.last = _spoilt(self._deep(self._picture()), fault)
         return True, world.last
 
     def _picture(self) -> Bytes:
@@ -111,6 +113,14 @@ class FakeCapture:
         image = self._world.generator.integers(30, 60, shape, dtype=np.uint8)
         image[MARK, MARK] = scene if self._world.grey else (200, 100, scene)
         return image
+
+    def _deep(self, image: Bytes) -> Any:
+        """The picture with noise in the bits beneath, as Video4Linux hands Y12 out unconverted."""
+        bits = self._world.bits
+        if bits == 8 or self._properties.get(cv2.CAP_PROP_CONVERT_RGB, 1):
+            return image
+        fine = self._world.generator.integers(0, 2 ** (bits - 8), image.shape, dtype=np.uint16)
+        return image * np.uint16(2 ** (bits - 8)) + fine
 
 
 def _spoilt(image: Bytes, fault: Fault | None) -> Any:

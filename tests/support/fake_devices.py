@@ -86,6 +86,7 @@ class FakeCamera:
     track: Track
     size_px: tuple[int, int] = (WIDTH, HEIGHT)
     colour: bool = True
+    bits: int = 8
     fail_at: int | None = None
     bad_picture: Any = None
     grabs: dict[float, int] = field(default_factory=dict)
@@ -103,7 +104,9 @@ class FakeCamera:
         seed = [zlib.crc32(repr(position_mm).encode()), count]
         width, height = self.size_px
         shape = (height, width, 3) if self.colour else (height, width)
-        image = np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+        image: Any = np.random.default_rng(seed).integers(0, 256, shape, dtype=np.uint8)
+        if self.bits > 8:
+            image = image * np.uint16(2 ** (16 - self.bits))
         return Grab(image, time_s=position_mm / 3 + 1e-6 * count, exposure_ms=20.0)
 
     def close(self) -> None:

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 from lscan.calibration.planemap import PlaneMap
 from lscan.config.rig import StripeSection
-from lscan.records import Bytes, Floats, Profile, Stripe
+from lscan.records import Floats, Picture, Profile, Stripe
 from lscan.stripe import extract_stripe
 from lscan.surface.surface import to_profile
 from sim.render.layers import Layers
@@ -39,7 +39,7 @@ class ScanReading:
         ]
 
 
-def pictures(scene: Scene, layers: Layers, seeds: Iterable[int]) -> list[Bytes]:
+def pictures(scene: Scene, layers: Layers, seeds: Iterable[int]) -> list[Picture]:
     """One picture, (H, W, 3), of the same light for each seed."""
     return [expose(webcam_of(scene, seed), layers, scene, (seed, 0)) for seed in seeds]
 
@@ -63,7 +63,7 @@ def webcam_of(scene: Scene, seed: int) -> Webcam:
     return Webcam(scene.with_tank(sensor={"seed": seed}))
 
 
-def expose(webcam: Webcam, layers: Layers, scene: Scene, stream: tuple[int, int]) -> Bytes:
+def expose(webcam: Webcam, layers: Layers, scene: Scene, stream: tuple[int, int]) -> Picture:
     generator = np.random.default_rng([STREAM, *stream])
     return webcam.expose(layers, scene.rig.camera.exposure_ms, generator)
 

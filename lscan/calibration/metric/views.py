@@ -17,8 +17,8 @@ from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
 from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.files.disk import make_folder
-from lscan.files.pictures import read_picture, write_picture
-from lscan.records import Axis, Bytes, Floats, Marks, Progress, Stripe, has_value
+from lscan.files.pictures import eight_bit, read_picture, write_picture
+from lscan.records import Axis, Bytes, Floats, Marks, Picture, Progress, Stripe, has_value
 from lscan.stripe import extract_stripe
 
 # What one picture of the board gives to the multi-view calibration.
@@ -290,7 +290,7 @@ def read_views(
     found: list[CalibrationView] = []
     size: tuple[int, int] | None = None
 
-    def read(name: str) -> Bytes:
+    def read(name: str) -> Picture:
         nonlocal size
         path = views.path.parent / name
         picture = read_picture(path)
@@ -309,7 +309,7 @@ def read_views(
     return found, size
 
 
-def _marks_reader(document: ViewsDocument) -> Callable[[Bytes], Marks]:
+def _marks_reader(document: ViewsDocument) -> Callable[[Picture], Marks]:
     """What finds the marks of the file's board in a picture; BoardNotFound where they are not."""
     section, channel = document.board, document.channel
     match section:
@@ -341,8 +341,8 @@ def _outline_mm(document: ViewsDocument) -> Outline | None:
 def _read(
     entry: ViewEntry,
     stripe: StripeSection,
-    read: Callable[[str], Bytes],
-    read_marks: Callable[[Bytes], Marks],
+    read: Callable[[str], Picture],
+    read_marks: Callable[[Picture], Marks],
     outline_mm: Outline | None,
 ) -> CalibrationView:
     picture = read(entry.picture)
@@ -411,7 +411,7 @@ def write_overlays(views: ViewsFile, fitted: Sequence[FittedView], folder: Path)
     return written
 
 
-def draw_view(image: Bytes, view: FittedView) -> Bytes:
+def draw_view(image: Picture, view: FittedView) -> Bytes:
     """(H, W, 3) RGB: the picture with the marks and the line that were found in it.
 
     Marks of a view that was used are green crosses, a line that was used is amber; what was left
@@ -419,10 +419,11 @@ def draw_view(image: Bytes, view: FittedView) -> Bytes:
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3) array, uint8, grey or RGB, where the view was found
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, grey or RGB, where the view was found
     view : FittedView, px
     """
-    canvas = np.ascontiguousarray(np.dstack([image] * 3) if image.ndim == 2 else image.copy())
+    seen = eight_bit(image)
+    canvas: Bytes = np.ascontiguousarray(np.dstack([seen] * 3) if seen.ndim == 2 else seen.copy())
     if view.marks is not None:
         colour = USED if view.used else LEFT_OUT
         for u, v in np.rint(view.marks.image_px[view.marks.found]).astype(int).tolist():

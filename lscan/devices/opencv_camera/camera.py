@@ -5,6 +5,7 @@ import math
 import os
 import threading
 import time
+from typing import cast
 
 import cv2
 import numpy as np
@@ -22,7 +23,8 @@ from lscan.devices.opencv_camera.options import (
 )
 from lscan.devices.opencv_camera.reader import DeviceLost, Reader, TimedPicture, open_capture
 from lscan.errors import DeviceError, InputError
-from lscan.records import Bytes
+from lscan.files.pictures import aligned, grey_dn
+from lscan.records import Picture
 
 SLOWEST_S = 0.2
 """Between two pictures of a webcam that works: 5 a second are few even for large ones."""
@@ -56,7 +58,7 @@ class OpencvCamera:
         self._open_capture = open_capture
         self._closed = threading.Event()
         self._shape: tuple[int, ...] | None = None
-        self._last: Bytes | None = None
+        self._last: Picture | None = None
         self._last_time_s = -math.inf
         self._shown_s = -math.inf
         self._broken = 0  # pictures dropped, since they came damaged
@@ -182,7 +184,9 @@ class OpencvCamera:
         count = self._options.average_frames
         pictures = [self._sound_picture(after_s, may_be_black) for _ in range(count)]
         images = [_rgb(picture.image) for picture in pictures]
-        image = images[0] if count == 1 else np.rint(np.mean(images, axis=0)).astype(np.uint8)
+        image = images[0]
+        if count > 1:
+            image = np.rint(np.mean(images, axis=0)).astype(image.dtype)
         # A clock that has not ticked since the last picture is moved by the least step.
         later_s = math.nextafter(self._last_time_s, math.inf)
         self._last_time_s = max(pictures[-1].time_s, later_s)
@@ -212,7 +216,8 @@ class OpencvCamera:
             return "a JPEG picture that is broken inside; check cable, network and camera"
         if self._options.is_black(image) and not may_be_black:
             exposure_ms = self._settings.exposure_ms
-            said = f"a black picture, brightest pixel {image.max()} DN at {exposure_ms:g} ms"
+            brightest_dn = grey_dn(image).max()
+            said = f"a black picture, brightest pixel {brightest_dn:g} DN at {exposure_ms:g} ms"
             if self._options.black == "refuse":
                 return f"{said}; take the cap off, or set camera.options.black = 'accept'"
             _log.warning("%s: %s", self._options.name, said)
@@ -276,15 +281,18 @@ class OpencvCamera:
         if self._closed.is_set():
             raise DeviceError(f"{self._options.name}: is closed")
 
-    def _check_picture(self, raw: object) -> Bytes:
+    def _check_picture(self, raw: object) -> Picture:
         """The picture, if it is what a run can hold and what the rig says: DeviceError."""
         image = np.asarray(raw)
         if image.ndim == 3 and image.shape[2] == 1:
             image = image[:, :, 0]
-        if image.dtype != np.uint8 or image.shape[2:] not in ((), (3,)) or image.ndim < 2:
+        bits = self._section.bits
+        wanted = np.dtype(np.uint8 if bits == 8 else np.uint16)
+        if image.dtype != wanted or image.shape[2:] not in ((), (3,)) or image.ndim < 2:
             raise DeviceError(
                 f"{self._options.name}: a picture is {image.dtype} of shape {image.shape}; "
-                "allowed: uint8, (H, W) or (H, W, 3); ask for another camera.options.pixel_format"
+                f"allowed: {wanted} for camera.bits = {bits}, (H, W) or (H, W, 3); ask for another "
+                "camera.options.pixel_format"
             )
         got = image.shape[1], image.shape[0]
         if got != self.size_px:
@@ -298,14 +306,17 @@ class OpencvCamera:
                 f"{self._options.name}: pictures change from shape {self._shape} to "
                 f"{image.shape}; set camera.options.pixel_format, then scan with --resume"
             )
-        return image
+        try:
+            return image if bits == 8 else aligned(image, bits, where=self._options.name)
+        except InputError as error:
+            raise DeviceError(str(error)) from error
 
 
-def _rgb(image: Bytes) -> Bytes:
+def _rgb(image: Picture) -> Picture:
     """The picture as RGB, or grey, in memory of its own."""
     if image.ndim == 2:
         return image.copy()
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return cast(Picture, cv2.cvtColor(image, cv2.COLOR_BGR2RGB))
 
 
 # The driver of the entry point ``opencv``: checks the options, opens the camera.

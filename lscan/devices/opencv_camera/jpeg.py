@@ -23,7 +23,7 @@ from PIL import Image
 
 from lscan.devices.opencv_camera.options import Capture, ended_early
 from lscan.errors import DeviceError
-from lscan.files.pictures import MOST_PX, decode, read_header, too_large
+from lscan.files.pictures import MOST_PX, decode, eight_bit, read_header, too_large
 from lscan.records import Bytes
 
 # One JPEG picture as a camera sends it: where it ends, and whether it came whole.
@@ -102,7 +102,8 @@ def decode_jpeg(data: bytes | None, name: str = "the stream") -> Bytes | None:
             f"{name}: sent a picture of {header.width_px} by {header.height_px} px; allowed: "
             f"{MOST_PX} px in all; choose a smaller one in the camera"
         )
-    return decode(np.frombuffer(data, np.uint8), _AS_STORED)
+    image = decode(np.frombuffer(data, np.uint8), _AS_STORED)
+    return None if image is None else eight_bit(image)
 
 
 def is_whole(data: bytes) -> bool:

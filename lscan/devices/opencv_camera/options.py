@@ -16,7 +16,8 @@ from pydantic import Field, model_validator
 
 from lscan.config.documents import Strict
 from lscan.config.rig import CameraSection
-from lscan.records import Bytes
+from lscan.files.pictures import grey_dn
+from lscan.records import Picture
 
 # What ``[camera.options]`` of a rig file may say to the opencv driver, and what a capture is.
 
@@ -133,23 +134,23 @@ class OpencvOptions(Strict):
             return f"camera opencv (device {self.device})"
         return f"camera opencv ({self.url or self.file})"
 
-    def is_black(self, image: Bytes) -> bool:
+    def is_black(self, image: Picture) -> bool:
         """Whether no pixel is above ``black_dn``.
 
         Parameters
         ----------
-        image : (H, W) or (H, W, 3) uint8 array
+        image : (H, W) or (H, W, 3) array, uint8 or uint16
         """
-        return int(image.max()) <= self.black_dn
+        return bool(grey_dn(image.max()) <= self.black_dn)
 
-    def is_stuck(self, image: Bytes, last: Bytes) -> bool:
+    def is_stuck(self, image: Picture, last: Picture) -> bool:
         """Whether a live camera sent its last picture again.
 
         Black ones hold no noise to compare, and have a rule of their own.
 
         Parameters
         ----------
-        image, last : (H, W) or (H, W, 3) uint8 array, the picture and the one before
+        image, last : (H, W) or (H, W, 3) array, uint8 or uint16, the picture and the one before
         """
         meant = self.repeated == "accept" or not self.live
         return not meant and np.array_equal(image, last) and not self.is_black(image)
@@ -299,6 +300,8 @@ def _stated_settings(
     automatic, focus, white = options.auto_exposure, options.focus, options.white_balance
     mode = exposure.automatic if automatic else exposure.manual
     every = {
+        # What is converted to colours has 8 bits.
+        "conversion": (cv2.CAP_PROP_CONVERT_RGB, None if section.bits == 8 else 0),
         "pixel_format": (cv2.CAP_PROP_FOURCC, options.pixel_format),
         "width_px": (cv2.CAP_PROP_FRAME_WIDTH, section.width_px),
         "height_px": (cv2.CAP_PROP_FRAME_HEIGHT, section.height_px),

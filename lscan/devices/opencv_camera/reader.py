@@ -22,7 +22,7 @@ from lscan.devices.opencv_camera.options import (
     reason_unopened,
 )
 from lscan.errors import DeviceError
-from lscan.records import Bytes
+from lscan.records import Picture
 
 # How a capture is opened for a device, a stream or a video file.
 
@@ -122,14 +122,14 @@ class DeviceLost(DeviceError):
 
 @dataclass(frozen=True)
 class TimedPicture:
-    """A picture as read.  image: uint8, (H, W) or (H, W, 3) blue first.
+    """A picture as read.  image: uint8 or uint16, (H, W) or (H, W, 3) blue first.
 
     time_s: on the monotonic clock of this machine, when the camera says it took the picture,
     else when it arrived; of a file, when it was asked for.  arrived_s: when it arrived, on the
     same clock.  file: the JPEG file it was decoded from, where that is at hand.
     """
 
-    image: Bytes
+    image: Picture
     time_s: float
     arrived_s: float
     file: bytes | None = None
@@ -155,7 +155,7 @@ class Reader:
         section: CameraSection,
         options: OpencvOptions,
         open_capture: OpenCapture,
-        check: Callable[[object], Bytes],
+        check: Callable[[object], Picture],
     ) -> None:
         self._section, self._options = section, options
         self._open_capture, self._check = open_capture, check
@@ -222,7 +222,7 @@ class Reader:
                     return picture
                 self._wait(deadline_s, f"sent no new picture within {timeout_s:g} s")
 
-    def is_stuck(self, image: Bytes, last: Bytes) -> bool:
+    def is_stuck(self, image: Picture, last: Picture) -> bool:
         """Whether the camera sent its last picture again, though it should have changed."""
         return not self._codes_changes and self._options.is_stuck(image, last)
 
@@ -281,7 +281,7 @@ class Reader:
     def _read(self, capture: Capture) -> None:
         options = self._options
         skip = options.warm_up_frames if options.live else 0
-        last: Bytes | None = None
+        last: Picture | None = None
         for count in itertools.count():
             raw = self._read_one(capture)
             if self._given_up:

@@ -359,7 +359,8 @@ def _stated_by_owner(document: Document) -> Document:
             speckle = speckle_contrast(
                 sensor.pixel_um, lens.f_number, laser.wavelength_nm, sensor.speckle
             )
-        read_dn = hypot(gain * hypot(sensor.dark_noise_e, sensor.dsnu_e), 1 / sqrt(12))
+        step_dn = 2.0 ** (8 - document["camera"].get("bits", 8))
+        read_dn = hypot(gain * hypot(sensor.dark_noise_e, sensor.dsnu_e), step_dn / sqrt(12))
         noise = {"read_dn": read_dn, "dn_per_electron": gain, "speckle": speckle}
         told.setdefault("stripe", {})["noise"] = noise
     if "sheet" in document:

@@ -18,10 +18,10 @@ from lscan.errors import MeasurementError
 from lscan.files.containers import npz_arrays
 from lscan.records import (
     BoardReading,
-    Bytes,
     Floats,
     Ints,
     Mask,
+    Picture,
     Progress,
     Status,
     has_value,
@@ -220,7 +220,9 @@ def _line(scene: Scene, tank: Tank, places: ScanPlaces) -> tuple[Floats, Floats,
     return quiet[places.entry], sensor, np.sqrt(np.maximum(both**2 - sensor**2, 0.0))
 
 
-def picture_of_layers(scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int) -> Bytes:
+def picture_of_layers(
+    scene: Scene, layers: Layers, noise: bool, speckle: bool, seed: int
+) -> Picture:
     """The picture of layers, with and without noise and speckle.
 
     Parameters
@@ -237,7 +239,7 @@ def picture_of_layers(scene: Scene, layers: Layers, noise: bool, speckle: bool, 
     return webcam.expose(layers, scene.rig.camera.exposure_ms, np.random.default_rng(seed))
 
 
-def centres_in(scene: Scene, pictures: list[Bytes]) -> Floats:
+def centres_in(scene: Scene, pictures: list[Picture]) -> Floats:
     """(K, N) px of the line in K pictures, by the rig's extractor; NaN where there is none.
 
     Parameters

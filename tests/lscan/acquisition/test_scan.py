@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from fake_devices import FakeCamera, FakeDrivers, FakeTrack, fake_rig, folder_bytes
 from killed_scans import remnants
+from PIL import Image
 from places import ROOT, SUPPORT
 
 import lscan.acquisition.run
@@ -21,7 +22,7 @@ import lscan.config.rig
 from lscan.acquisition.run import Run, open_run
 from lscan.acquisition.scan import acquire_into, scan
 from lscan.acquisition.writer import create_run, resume_run
-from lscan.config.rig import RigFile
+from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Grab
 from lscan.errors import DeviceError, InputError
 from lscan.files import disk
@@ -74,6 +75,25 @@ def test_frames_are_what_the_camera_delivered(tmp_path: Path) -> None:
 def test_grey_pictures_stay_grey(tmp_path: Path) -> None:
     run = fake_scan(tmp_path / "a", colour=False)
     assert {frame.image.shape for frame in run.frames()} == {(16, 20)}
+
+
+@pytest.mark.parametrize("colour", [False, True])
+def test_deep_pictures_are_kept_to_the_last_bit(tmp_path: Path, colour: bool) -> None:
+    """In PNG files of 16 bits, as the picture of another library says."""
+    document = dict(fake_rig().document)
+    document["camera"] = {**document["camera"], "bits": 12}
+    deep = parse_rig(document, source="rig.toml", trusted=True)
+    run = fake_scan(tmp_path / "a", deep, colour=colour, bits=12)
+    camera = FakeCamera(FakeTrack(), colour=colour, bits=12)
+    for index, frame in enumerate(run.frames()):
+        camera.track.move_to(1.0 + index * 0.1)
+        np.testing.assert_array_equal(frame.image, camera.grab().image)
+        file = Image.open(tmp_path / "a" / "frames" / f"{index:06d}.png")
+        assert file.mode == ("RGB" if colour else "I;16")  # Pillow shows 8 bits of deep colours
+    with pytest.raises(DeviceError, match=r"frame 0 is uint8 .*allowed: uint16 for camera.bits"):
+        fake_scan(tmp_path / "b", deep)
+    with pytest.raises(DeviceError, match=r"frame 0 is uint16 .*allowed: uint8 for camera.bits"):
+        fake_scan(tmp_path / "c", bits=12)
 
 
 def test_the_same_scan_gives_the_same_bytes(tmp_path: Path) -> None:

@@ -76,6 +76,29 @@ def test_a_line_that_is_found_nowhere_is_said(
     assert (code, "found in 0" in out, "has a peak" in err) == (0, False, False)
 
 
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+def test_a_picture_of_more_bits_is_read_and_its_bits_are_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], bits: int
+) -> None:
+    """As a camera's program stores it, in the lower bits; the line is where it is in 8."""
+    v = np.arange(120, dtype=float)[:, None]
+    line = np.tile(20 + 150 * np.exp(-((v - 60.3) ** 2) / 4.5), (1, 60))
+    line += np.random.default_rng(bits).normal(0, 0.2, line.shape)
+    line[0, 0] = 250.0
+    numbers = np.rint(line * 2.0 ** (bits - 8)).astype(np.uint16)
+    write_picture(tmp_path / "deep.png", numbers)
+    code, out, err = call(
+        capsys, "extract", tmp_path / "deep.png", "-o", tmp_path / "line.csv", "--overlay",
+        tmp_path / "overlay.png",
+    )  # fmt: skip
+    assert (code, "line found in 60 of 60" in out) == (0, True)
+    assert f"of 16 bit, taken for a camera's of {bits}, its brightest pixel at 250" in err
+    rows = rows_of(tmp_path / "line.csv")
+    assert abs(np.mean([float(row["centre_px"]) for row in rows]) - 60.3) < 0.01
+    assert abs(np.mean([float(row["peak_dn"]) for row in rows]) - 147) < 3
+    assert read_picture(tmp_path / "overlay.png").dtype == np.uint8
+
+
 def test_how_viewers_turn_a_picture_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -160,7 +160,7 @@ def test_pictures_that_cannot_be_measured_offer_nothing(
 def test_read_noise_at_the_floor_of_rounding_is_a_bound() -> None:
     """Closed form: two levels of 1e6 differences at variance 0.05 + 0.001 DN² a DN."""
     mean_dn = np.array([10.0, 100.0])
-    levels = Levels(mean_dn, 0.05 + 0.001 * mean_dn, np.full(2, 1e6), np.zeros(2))
+    levels = Levels(mean_dn, 0.05 + 0.001 * mean_dn, np.full(2, 1e6), np.zeros(2), np.ones(2))
     found = photon_transfer(levels)
     assert found.read_is_rounding
     assert found.read_dn == pytest.approx(ROUNDING_DN)
@@ -171,6 +171,6 @@ def test_read_noise_at_the_floor_of_rounding_is_a_bound() -> None:
 
 def test_a_bound_is_reported_as_a_bound() -> None:
     mean_dn = np.array([10.0, 100.0])
-    levels = Levels(mean_dn, 0.05 + 0.001 * mean_dn, np.full(2, 1e6), np.zeros(2))
+    levels = Levels(mean_dn, 0.05 + 0.001 * mean_dn, np.full(2, 1e6), np.zeros(2), np.ones(2))
     line = devices_cli._transfer_line(photon_transfer(levels))
     assert "read noise at most 0.289 DN (rounding makes 0.289)" in line

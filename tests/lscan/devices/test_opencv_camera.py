@@ -125,6 +125,49 @@ class TestDevice(CameraContract):
         camera.close()
 
 
+class TestDeepDevice(CameraContract):
+    size_px = (WIDTH_PX, HEIGHT_PX)
+    name = "camera opencv"
+    bits = 12
+
+    @pytest.fixture
+    def camera(self) -> Iterator[OpencvCamera]:
+        camera = deep_camera(World(bits=12, grey=True))
+        yield camera
+        camera.close()
+
+
+def deep_camera(world: World, bits: int = 12, **options: Any) -> OpencvCamera:
+    quick = {"device": 0, "warm_up_frames": 1, "reconnect_wait_s": 0.0, **options}
+    return OpencvCamera(section(bits=bits), OpencvOptions(**quick), world.open)
+
+
+def test_a_deep_picture_has_its_camera_s_bits_uppermost() -> None:
+    camera = deep_camera(World(scene=77, bits=12, grey=True), black="accept")
+    image = camera.grab().image
+    assert (image[:4, :4] // 256 == 77).all() and (image % 16 == 0).all()
+    assert len(np.unique(image[:4, :4])) > 4  # the bits beneath are kept
+    camera.close()
+
+
+def test_pictures_averaged_are_finer_than_the_camera_s_steps() -> None:
+    camera = deep_camera(World(bits=12, grey=True), average_frames=4)
+    assert (camera.grab().image % 16 != 0).any()
+    camera.close()
+
+
+@pytest.mark.parametrize(
+    ("sent", "stated", "said"),
+    [
+        (8, 12, "uint8 of shape .* allowed: uint16 for camera.bits = 12"),
+        (12, 10, "too large a grey value .*allowed: 1023 at most, of 10 bits"),
+    ],
+)
+def test_a_camera_of_other_bits_than_stated_is_refused(sent: int, stated: int, said: str) -> None:
+    with pytest.raises(DeviceError, match=said):
+        deep_camera(World(scene=200, bits=sent, grey=True), stated).grab()
+
+
 # ---- fresh pictures ---------------------------------------------------------------------
 
 

@@ -15,7 +15,17 @@ from png_files import HUGE, chunk, grey_png
 from lscan.devices.opencv_camera.jpeg import decode_jpeg
 from lscan.errors import DeviceError, InputError
 from lscan.files import pictures
-from lscan.files.pictures import MOST_PX, PictureHeader, read_header, read_picture, write_picture
+from lscan.files.pictures import (
+    MOST_PX,
+    PictureHeader,
+    display_turn,
+    eight_bit,
+    grey_dn,
+    read_header,
+    read_picture,
+    step_of,
+    write_picture,
+)
 
 ENDINGS = {".png": "PNG", ".jpg": "JPEG", ".bmp": "BMP", ".tif": "TIFF", ".webp": "WebP"}
 
@@ -138,10 +148,40 @@ def test_other_ways_to_write_a_header() -> None:
 
 
 @pytest.mark.parametrize("ending", [".png", ".tif"])
-def test_sixteen_bits_are_refused_by_the_header(tmp_path: Path, ending: str) -> None:
-    cv2.imwrite(str(tmp_path / f"deep{ending}"), np.zeros((8, 8, 3), np.uint16))
-    with pytest.raises(InputError, match=r"deep.*has the wrong depth \(got '16 bit'; allowed: PNG"):
-        read_picture(tmp_path / f"deep{ending}")
+@pytest.mark.parametrize("bits", [10, 12, 14, 16])
+@pytest.mark.parametrize("colour", [False, True])
+def test_sixteen_bits_are_read_whatever_part_a_camera_fills(
+    tmp_path: Path, ending: str, bits: int, colour: bool
+) -> None:
+    """As other programs write them: numbers up to 2^bits - 1, or these as the uppermost bits."""
+    shape = (8, 8, 3) if colour else (8, 8)
+    numbers = np.random.default_rng(bits).integers(0, 2**bits, shape).astype(np.uint16)
+    numbers[0, 0] = 2**bits - 1
+    upper = numbers * np.uint16(2 ** (16 - bits))
+    for name, stored in (("low", numbers), ("high", upper)):
+        cv2.imwrite(str(tmp_path / f"{name}{ending}"), stored[..., ::-1] if colour else stored)
+        for stated in (None, bits):
+            assert np.array_equal(read_picture(tmp_path / f"{name}{ending}", stated), upper)
+    assert display_turn(tmp_path / f"low{ending}") == ""
+
+
+def test_a_dark_picture_of_twelve_bits_needs_them_stated(tmp_path: Path) -> None:
+    dark = np.array([[0, 5, 1000]], np.uint16)
+    cv2.imwrite(str(tmp_path / "dark.png"), dark)
+    assert read_picture(tmp_path / "dark.png").max() == 1000 * 64  # as if of 10 bits
+    assert read_picture(tmp_path / "dark.png", 12).max() == 1000 * 16
+    cv2.imwrite(str(tmp_path / "full.png"), np.array([[1, 5000]], np.uint16))
+    with pytest.raises(InputError, match=r"full.png: has .*5000; allowed: 4095 at most, of 12"):
+        read_picture(tmp_path / "full.png", 12)
+
+
+def test_a_deep_picture_as_grey_values() -> None:
+    """Closed form: 256 steps to a DN, of which 12 bits use every sixteenth."""
+    deep = np.array([[0, 16, 4096, 65520]], np.uint16)
+    assert grey_dn(deep).tolist() == [[0.0, 0.0625, 16.0, 255.9375]]
+    assert eight_bit(deep).tolist() == [[0, 0, 16, 255]]
+    assert step_of(grey_dn(deep)) == 1 / 16
+    assert step_of(np.array([7.0, 9.0])) == step_of(np.array([0.1])) == step_of(np.zeros(3)) == 1
 
 
 @pytest.mark.parametrize(

@@ -289,7 +289,10 @@ def test_the_member_at_fault_is_named(outside: Path, form: str) -> None:
     large = bytes(2**20 + 64 * 12 + 1)
     for changed, said in (
         ({"truth.npz": large}, "truth.npz"),
-        ({"labels.png": large, "picture.png": b"GIF89a"}, "picture.png: is not an 8-bit grey or"),
+        (
+            {"labels.png": large, "picture.png": b"GIF89a"},
+            "picture.png: is not an 8- or 16-bit",
+        ),
         ({"labels.png": large, "scene.json": large}, "labels.png"),
     ):
         shard = dataset(folder, form, **changed)
@@ -338,8 +341,8 @@ def truth(**arrays: np.ndarray) -> bytes:
 LINE = {"status": np.array([[0, 7, 0, 0]]), "centre_px": np.array([[1.0, np.nan, 2.0, 2.0]])}
 MEMBER_HARMS: list[tuple[str, bytes, str]] = [
     ("picture.png", grey_png(60_000, 60_000, zlib.compress(b"")), "or too large"),
-    ("picture.png", b"GIF89a", "is not an 8-bit grey or RGB picture"),
-    ("picture.png", encode_picture(np.zeros((3, 4), np.uint8), ".jpg"), "is not an 8-bit"),
+    ("picture.png", b"GIF89a", "is not an 8- or 16-bit grey or RGB picture"),
+    ("picture.png", encode_picture(np.zeros((3, 4), np.uint8), ".jpg"), "is not an 8- or 16-bit"),
     ("labels.png", grey_png(30_000, 30_000, zlib.compress(b"")), "or too large"),
     ("labels.png", b"", "is not an 8-bit grey or RGB picture"),
     (

@@ -243,7 +243,7 @@ def test_an_extractor_that_breaks_its_word_is_named(function, message):
     "image",
     [
         np.zeros((9, 9)),
-        np.zeros((9, 9), np.uint16),
+        np.zeros((9, 9), np.int16),
         np.zeros((9, 9, 4), np.uint8),
         np.zeros((0, 9), np.uint8),
         np.zeros(9, np.uint8),

@@ -165,7 +165,7 @@ LINE_HEAD, SLICES_HEAD = b"x_mm,z_mm,height_dn,multiple,status\n", b"x_mm,y_mm,z
         ("board-000/truth.csv", MARKS_HEAD + b"1,1,1,1,99\n", "no table of marks"),
         ("board-000/board.json", b"{}", "board.json: grid: field required"),
         ("board-000/optics.json", b"[]", "optics.json: document: must be a table"),
-        ("board-000/picture.png", b"none", "is not an 8-bit"),
+        ("board-000/picture.png", b"none", "is not an 8- or 16-bit"),
         ("scan-000/line.csv", LINE_HEAD, "differ in size"),
         ("scan-000/line.csv", LINE_HEAD + b"1,nan,1,0,0\n" * 160, "no table of a scan's truth"),
         ("scan-000/line.csv", LINE_HEAD + b"1,1,1,2,0\n" * 160, "no table of a scan's truth"),
@@ -174,8 +174,8 @@ LINE_HEAD, SLICES_HEAD = b"x_mm,z_mm,height_dn,multiple,status\n", b"x_mm,y_mm,z
         ("scan-000/rig.json", b"[]", "rig.json: document: must be a table"),
         ("scan-000/rig.json", b"{", "rig.json: is not valid JSON"),
         ("scan-000/rig.json", b'{"camera": {}}', "camera.driver"),
-        ("scan-000/frame-0001.png", b"none", "is not an 8-bit"),
-        ("scan-000/picture.png", b"none", "is not an 8-bit"),
+        ("scan-000/frame-0001.png", b"none", "is not an 8- or 16-bit"),
+        ("scan-000/picture.png", b"none", "is not an 8- or 16-bit"),
     ],
 )
 def test_a_harmed_board_or_scan_is_refused_by_its_member(

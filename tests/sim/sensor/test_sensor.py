@@ -165,6 +165,30 @@ def test_digitising_is_monotone_and_in_range(electrons: float, gain: float, gamm
 
 
 @examples(50)
+@given(
+    electrons=st.floats(0, 4e4), bits=st.sampled_from([10, 12, 14, 16]), gamma=st.floats(1, 3),
+)  # fmt: skip
+def test_more_bits_divide_a_dn_further(electrons: float, bits: int, gamma: float) -> None:
+    """Of the same light the picture of 8 bits is the nearest whole DN, and a deep one nearer."""
+    sensor = Sensor(gamma=gamma, black_level_dn=0.0)
+    one = np.array([electrons], np.float32)
+    exact = 255 * (min(electrons, sensor.full_well_e) / sensor.full_well_e) ** (1 / gamma)
+    deep = digitise(one, sensor, bits=bits)
+    assert deep.dtype == np.uint16 and int(deep[0]) % 2 ** (16 - bits) == 0
+    # Half a step, and what single precision makes of 255.
+    assert abs(deep[0] / 256 - exact) <= 0.5 / 2 ** (bits - 8) + 1e-4
+    assert abs(digitise(one, sensor)[0] - exact) <= 0.5 + 1e-4
+
+
+def test_a_deep_range_ends_where_that_of_eight_bits_does() -> None:
+    bright = np.array([[1e6] * 3] * 3, np.float32)
+    sensor = Sensor(clips_dn=240, frame_dn=9)
+    assert digitise(bright, sensor, bits=12)[1, 1] == 240 * 256
+    assert digitise(bright, sensor, bits=12)[0, 0] == 9 * 256
+    assert (digitise(bright, Sensor(), bits=16) == 255 * 256).all()
+
+
+@examples(50)
 @given(dn=st.integers(60, 254), gain=st.floats(1, 4), gamma=st.floats(1, 3))
 def test_electrons_of_undoes_digitising(dn: int, gain: float, gamma: float) -> None:
     sensor = Sensor(gain=gain, gamma=gamma, full_well_e=20000.0)

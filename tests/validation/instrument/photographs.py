@@ -18,7 +18,7 @@ from lscan.config.board import Board, Grid
 from lscan.config.rig import LineChannel, StripeSection
 from lscan.files.disk import packaged_table
 from lscan.files.pictures import read_picture
-from lscan.records import BoardReading, Bytes, Floats, Mask, has_value
+from lscan.records import BoardReading, Floats, Mask, Picture, has_value
 from lscan.stripe import extract_stripe
 from tests.validation.instrument.effort import AccuracyEffort
 from tests.validation.rows import Row, measured_rows, row
@@ -105,7 +105,7 @@ def line_rows(folder: Path, extractor: str) -> list[Row]:
 
 
 def line_faults(
-    lit: Bytes, dark: Bytes | None, extractor: str, channel: LineChannel = "red"
+    lit: Picture, dark: Picture | None, extractor: str, channel: LineChannel = "red"
 ) -> tuple[float, int]:
     """Share of the rows that carry the line without it, and the count of wrong ones.
 

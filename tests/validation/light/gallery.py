@@ -12,7 +12,7 @@ import numpy as np
 from lscan.config.documents import read_document
 from lscan.files.disk import list_names
 from lscan.files.pictures import encode_picture
-from lscan.records import Bytes
+from lscan.records import Picture
 from sim.render.layers import finer_lens
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
@@ -98,7 +98,7 @@ def shrunk(scene: Scene, times: int) -> Scene:
     return replace(scene, rig=rig, tank=scene.tank.model_copy(update={"lens": lens}))
 
 
-def _thumbnail(image: Bytes) -> str:
+def _thumbnail(image: Picture) -> str:
     height, width = image.shape[:2]
     size = (WIDTH_PX, round(height * WIDTH_PX / width))
     small: Any = cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -25,6 +25,7 @@ from lscan.config.documents import Document, merge, write_toml
 from lscan.config.rig import Rig, RigFile, load_rig, parse_rig
 from lscan.config.targets import Sandwave
 from lscan.files.disk import make_folder
+from lscan.files.pictures import eight_bit
 from lscan.paper.experiment import measure_board
 from lscan.paper.published import CHOSEN_MAP
 from lscan.pipeline import build_surface, place, reconstruct
@@ -242,7 +243,7 @@ def _coded(run: Run, plane_map: PlaneMap, options: ServeOptions) -> Surface:
     """The raw surface of the run's pictures, each through the served camera's JPEG."""
     profiles = []
     for frame in run.frames():
-        image = from_jpeg(jpeg_bytes(frame.image, options.quality, options.subsampling))
+        image = from_jpeg(jpeg_bytes(eight_bit(frame.image), options.quality, options.subsampling))
         stripe = extract_stripe(image, run.rig_file.rig.stripe)
         profiles.append(to_profile(stripe, plane_map, frame.position_mm))
     return build_surface(profiles, run.rig_file.rig)

@@ -22,7 +22,7 @@ import numpy as np
 from lscan.devices.grbl import SerialTrack, SerialTrackOptions, open_track
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.files.disk import packaged_table
-from lscan.records import Bytes
+from lscan.records import Bytes, Picture
 from sim.emulators.grbl import Faults, GrblEmulator
 from tests.support.grbl_line import DirectLine, SimulatedTime
 
@@ -59,7 +59,7 @@ def draw_mark(image: Bytes, mark: ExposureMark) -> None:
     image[0, :LENGTH] = np.frombuffer(data, np.uint8)[:, None]
 
 
-def read_mark(image: Bytes) -> ExposureMark | None:
+def read_mark(image: Picture) -> ExposureMark | None:
     """The mark of a picture; None where it carries none that is whole.
 
     Parameters

@@ -21,7 +21,7 @@ from lscan.acquisition.scan import acquire_into
 from lscan.acquisition.writer import create_run
 from lscan.config.rig import parse_rig
 from lscan.devices.api import Grab
-from lscan.records import Bytes, Floats
+from lscan.records import Floats, Picture
 from sim.render.tank import Tank
 from sim.scene import load_scene
 from sim.sensor import Webcam
@@ -42,8 +42,8 @@ class FreeDevices:
     the next, or until ``pause``, less what the devices took of it.
     """
 
-    pictures: list[Bytes]
-    aside: Callable[[Bytes], None]
+    pictures: list[Picture]
+    aside: Callable[[Picture], None]
     clock: Clock
     position_mm: float = 0.0
     frames_s: list[float] = field(default_factory=list)
@@ -92,7 +92,7 @@ class PlainSaver:
     clock: Clock = time.perf_counter
     saved_s: list[float] = field(default_factory=list)
 
-    def __call__(self, picture: Bytes) -> None:
+    def __call__(self, picture: Picture) -> None:
         began_s = self.clock()
         _, data = cv2.imencode(".png", picture)
         with self.path.open("wb") as file:
@@ -122,7 +122,7 @@ def overhead_rows(frames: int, folder: Path, scene: Path) -> list[Row]:
     return rows
 
 
-def noisy_pictures(scene: Path, count: int = PICTURES) -> list[Bytes]:
+def noisy_pictures(scene: Path, count: int = PICTURES) -> list[Picture]:
     """Pictures (H, W, 3) RGB uint8 of one view of the tank, each with noise of its own."""
     loaded = load_scene(scene)
     layers, webcam = Tank(loaded).render(loaded.rig.plan.start_mm), Webcam(loaded)
@@ -133,10 +133,10 @@ def noisy_pictures(scene: Path, count: int = PICTURES) -> list[Bytes]:
 
 def frame_times(
     path: Path,
-    pictures: list[Bytes],
+    pictures: list[Picture],
     frames: int,
     clock: Clock = time.perf_counter,
-    aside: Callable[[Bytes], None] = lambda picture: None,
+    aside: Callable[[Picture], None] = lambda picture: None,
 ) -> Floats:
     """(frames,) what acquisition itself took for each frame, s, scanning into the folder ``path``.
 

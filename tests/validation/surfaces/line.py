@@ -12,7 +12,7 @@ import numpy as np
 
 from lscan.config.rig import StripeSection
 from lscan.files.pictures import read_picture
-from lscan.records import Bytes, Floats, Status, Stripe, has_value
+from lscan.records import Floats, Picture, Status, Stripe, has_value
 from lscan.stripe import extract_stripe
 from sim.render.tank import Tank
 from sim.scene import Scene, load_scene
@@ -157,7 +157,7 @@ def bust_rows(folder: Path) -> list[Row]:
 
 
 def told_apart_rows(
-    what: str, shown: Sequence[Bytes], chosen: StripeSection, truths: Floats, effort: FieldEffort
+    what: str, shown: Sequence[Picture], chosen: StripeSection, truths: Floats, effort: FieldEffort
 ) -> list[Row]:
     """Rows of the worse of two lines, each asked for by its place.
 
@@ -197,7 +197,7 @@ def count_rows(
     ]
 
 
-def _drawn(mean_dn: Floats, effort: FieldEffort, clips_dn: int = 255) -> list[Bytes]:
+def _drawn(mean_dn: Floats, effort: FieldEffort, clips_dn: int = 255) -> list[Picture]:
     """One picture for each seed."""
     return [lit_picture(mean_dn, np.random.default_rng(seed), clips_dn) for seed in effort.seeds]
 
@@ -221,7 +221,7 @@ def true_line(scene: Scene, line: int = 0) -> Floats:
     return np.where(truth.status == Status.OK, truth.centre_px, np.nan)
 
 
-def _count(shown: Iterable[Bytes], chosen: StripeSection, truth: Floats) -> Count:
+def _count(shown: Iterable[Picture], chosen: StripeSection, truth: Floats) -> Count:
     return counted([extract_stripe(picture, chosen) for picture in shown], truth)
 
 

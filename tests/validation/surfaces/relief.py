@@ -18,7 +18,7 @@ from lscan.benchmark.run import registered_extractors
 from lscan.config.rig import SheetSection, StripeSection
 from lscan.files.disk import write_atomically
 from lscan.files.pictures import read_picture
-from lscan.records import Bytes, Floats, Mask, Status, Stripe, Surface, has_value
+from lscan.records import Floats, Mask, Picture, Status, Stripe, Surface, has_value
 from lscan.stripe import extract_stripe
 from lscan.stripe.fit import lines, parameters_of
 from lscan.stripe.peaks import neighbours, pieces
@@ -245,7 +245,7 @@ def _rows(pictures: str, reference: str, ratios: dict[str, float]) -> list[Row]:
 # -- drawn --------------------------------------------------------------------------------
 
 
-def camera_picture(generator: np.random.Generator) -> tuple[Bytes, Floats]:
+def camera_picture(generator: np.random.Generator) -> tuple[Picture, Floats]:
     """A picture (H, W, 3) of a red line as a cheap camera delivers it, and its centres (W,), px.
 
     Speckle, shot noise and reading noise on the pixels of a colour filter; colours filled in,
@@ -280,7 +280,7 @@ def _speckle(generator: np.random.Generator) -> Floats:
     return generator.gamma(SPECKLE**-2, SPECKLE**2, SHAPE)
 
 
-def _sharpened(image: Bytes) -> Bytes:
+def _sharpened(image: Picture) -> Picture:
     soft = cv2.GaussianBlur(image, (0, 0), SHARPENING_PX)
     return np.asarray(cv2.addWeighted(image, 1 + SHARPENED, soft, -SHARPENED, 0), np.uint8)
 
@@ -302,7 +302,7 @@ def _over_truth(extractor: str, seeds: tuple[int, ...]) -> float:
 # -- photographs --------------------------------------------------------------------------
 
 
-def _over_neighbours(extractor: str, lit: Bytes, dark: Bytes) -> float:
+def _over_neighbours(extractor: str, lit: Picture, dark: Picture) -> float:
     """The ratio for a photograph's columns that are not clipped, robust against outliers.
 
     What a clipped crest may hide is in their sigma_px, and no scatter.

@@ -14,7 +14,7 @@ from lscan.devices.photontransfer import (
     photon_transfer,
 )
 from lscan.errors import InputError, MeasurementError
-from lscan.records import Bytes, Floats
+from lscan.records import Bytes, Floats, Singles
 
 SHAPE = (48, 64)
 SIGMAS = 5.0
@@ -29,16 +29,21 @@ def sensor(
     black_dn: float | Floats = 0.0,
     light: Floats | None = None,
     seed: int = 1,
-) -> Bytes:
+    bits: int = 8,
+) -> Bytes | Singles:
     """Pictures (N, H, W) of a linear camera: Poisson electrons, Gaussian noise, rounding.
 
     scene_dn: (H, W) mean light in DN.  light: (N,) brightness of the lamp at each picture.
+    bits: of the camera: float32 from 10 on.
     """
     generator = np.random.default_rng(seed)
     lamp = np.ones(pictures) if light is None else light
     electrons = generator.poisson(lamp[:, None, None] * scene_dn / gain)
     value = black_dn + gain * electrons + generator.normal(0, read_dn, (pictures, *SHAPE))
-    return np.clip(np.rint(value), 0, 255).astype(np.uint8)
+    if bits == 8:
+        return np.clip(np.rint(value), 0, 255).astype(np.uint8)
+    steps = 2.0 ** (bits - 8)
+    return np.clip(np.rint(steps * value) / steps, 0, 255).astype(np.float32)
 
 
 def gradient(low_dn: float = 20.0, high_dn: float = 200.0) -> Floats:
@@ -68,6 +73,18 @@ def test_gain_and_read_noise_are_recovered(
     # chi² over k degrees of freedom has standard deviation sqrt(2 / k).
     count = len(found.levels.mean_dn)
     assert abs(found.chi2 - 1) < SIGMAS * np.sqrt(2 / (count - 2))
+
+
+@pytest.mark.parametrize("bits", [12, 16])
+def test_a_deep_camera_s_noise_is_known_below_one_dn(bits: int) -> None:
+    """Rounded to s DN a noise of a sixth of a DN has s²/12 more variance."""
+    lit = sensor(gradient(60, 200), 16, 0.01, 0.16, 20.0, bits=bits)
+    unlit = sensor(np.zeros(SHAPE), 16, 0.01, 0.16, 20.0, seed=2, bits=bits)
+    found = photon_transfer(grey_levels(lit), dark_level(unlit))
+    assert abs(found.dn_per_electron - 0.01) < SIGMAS * found.gain_sigma
+    expected = np.sqrt(0.16**2 + 4.0 ** (8 - bits) / 12)
+    assert abs(found.read_dn - expected) < SIGMAS * found.read_sigma_dn
+    assert found.read_dn < ROUNDING_DN and not found.read_is_rounding
 
 
 def test_the_stated_uncertainty_is_the_scatter() -> None:
@@ -161,7 +178,11 @@ def test_dark_noise_is_that_of_the_sensor() -> None:
 def test_levels_without_noise_still_give_finite_figures() -> None:
     count = 5
     still = Levels(
-        np.arange(count) * 20.0 + 20, np.zeros(count), np.full(count, 1e4), np.zeros(count)
+        np.arange(count) * 20.0 + 20,
+        np.zeros(count),
+        np.full(count, 1e4),
+        np.zeros(count),
+        np.ones(count),
     )
     found = photon_transfer(still)
     assert found.read_dn == pytest.approx(ROUNDING_DN)
@@ -179,7 +200,7 @@ def test_levels_without_noise_still_give_finite_figures() -> None:
     ],
 )
 def test_pictures_that_cannot_be_used(pictures: Bytes) -> None:
-    with pytest.raises(InputError, match=r"uint8 of shape \(N, H, W\), N at least 4"):
+    with pytest.raises(InputError, match=r"uint8 or float32 of shape \(N, H, W\), N at least 4"):
         grey_levels(pictures)
 
 
