@@ -14,6 +14,7 @@ from lscan.acquisition.scan import open_devices
 from lscan.cli.console import Json, progress_bar, show, table
 from lscan.config.rig import RigFile, load_rig
 from lscan.devices.api import Fact, LaserSwitch
+from lscan.devices.genicam import found_cameras
 from lscan.devices.listing import drivers, rig_devices, serial_ports, video_devices
 from lscan.devices.photontransfer import PhotonTransfer
 from lscan.devices.trials import (
@@ -51,7 +52,8 @@ def devices(
     rig_file = None if rig is None else load_rig(rig)
     if not (test or dark):
         listing: dict[str, Any] = {
-            "cameras": video_devices(), "serial_ports": serial_ports(), "drivers": drivers()
+            "cameras": video_devices(), "genicam_cameras": found_cameras(),
+            "serial_ports": serial_ports(), "drivers": drivers(),
         }  # fmt: skip
         if rig_file is not None:
             listing["rig"] = rig_devices(rig_file)
@@ -76,6 +78,9 @@ def _listing_lines(listing: dict[str, Any]) -> Iterator[str | Table]:
             yield f"{camera.device} is also {name}, whatever its number becomes"
     else:
         yield "cameras: none found"
+    if industrial := listing["genicam_cameras"]:
+        rows = [[name, model] for name, model in industrial.items()]
+        yield table("GenICam cameras", ["address or serial", "maker and model"], rows)
     if ports := listing["serial_ports"]:
         rows = [[port.device, port.description] for port in ports]
         yield table("serial ports", ["device", "description"], rows)

@@ -20,13 +20,14 @@ from lscan.config.userfiles import (
     kinds,
     user_file,
 )
+from lscan.devices.genicam import GenicamOptions
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
 from lscan.files.disk import json_text, write_atomically
 
 OPTIONS: Options = {
-    "camera": {"opencv": OpencvOptions, "replay": ReplayOptions},
+    "camera": {"genicam": GenicamOptions, "opencv": OpencvOptions, "replay": ReplayOptions},
     "track": {"grbl": SerialTrackOptions, "manual": ManualOptions, "replay": ReplayOptions},
 }
 
