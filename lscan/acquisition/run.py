@@ -208,12 +208,24 @@ class Run:
         """Read every picture's file and compare its checksum; InputError as ``frame``."""
         with long_work("recorded pictures checked") as progress:
             for done, row in enumerate(self.rows, start=1):
-                self._checked_bytes(row)
+                self.picture_bytes(row)
                 if row.dark_sha256 is not None:
-                    self._checked_bytes(row, dark=True)
+                    self.picture_bytes(row, dark=True)
                 progress(done, len(self))
 
-    def _checked_bytes(self, row: FrameRow, dark: bool = False) -> bytes:
+    def picture_bytes(self, row: FrameRow, dark: bool = False) -> bytes:
+        """The file of a frame's picture, PNG, as it was recorded.
+
+        Parameters
+        ----------
+        row : FrameRow, of the frame
+        dark : bool, whether its background is meant
+
+        Raises
+        ------
+        InputError
+            It is missing, or is not the one that was recorded.
+        """
         file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
         # PNG needs hardly more than the pixels, 3 bytes each.
         most_bytes = 4 * camera.width_px * camera.height_px + 2**20
@@ -226,7 +238,7 @@ class Run:
     def _picture(self, row: FrameRow, dark: bool = False) -> Bytes:
         """A frame's picture, or its background."""
         file, camera = frame_file(self.path, row.index, dark), self.rig_file.rig.camera
-        data = self._checked_bytes(row, dark)
+        data = self.picture_bytes(row, dark)
         return read_png(data, file, camera.size_px, whose=", as in the rig")
 
 

@@ -15,6 +15,7 @@ COMMANDS = {
     "draw-board": "lscan.cli.calibrate:draw_board",
     "reconstruct": "lscan.cli.measure:reconstruct",
     "grid": "lscan.cli.measure:grid",
+    "export": "lscan.cli.measure:export",
     "measure": "lscan.cli.measure:measure",
     "compare": "lscan.cli.report:compare",
     "report": "lscan.cli.report:report",

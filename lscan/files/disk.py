@@ -291,13 +291,30 @@ def write_atomically(file: Path, data: bytes) -> None:
     InputError
         The disk refuses; ``DiskError`` where it is full or failed.
     """
+    with new_file(file) as descriptor:
+        _write_all(descriptor, data)
+
+
+@contextmanager
+def new_file(file: Path) -> Iterator[int]:
+    """Descriptor of a file to write, as ``write_atomically`` does: in its place after the block.
+
+    Parameters
+    ----------
+    file : Path, replaced where it is there, once the block has ended without an error
+
+    Raises
+    ------
+    InputError
+        The disk refuses; ``DiskError`` where it is full or failed.
+    """
     temporary = file.parent / temporary_name(file.name)
     with disk_errors(file):
         try:
             new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
             descriptor = os.open(temporary, new, 0o666)
             try:
-                _write_all(descriptor, data)
+                yield descriptor
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
