@@ -24,6 +24,7 @@ COMMANDS = {
     "calibrate-shaft": "lscan.cli.calibrate:calibrate_shaft",
     "scenes": "lscan.cli.scan:scenes",
     "schema": "lscan.cli.schema:schema",
+    "init": "lscan.cli.devices:init",
     "devices": "lscan.cli.devices:devices",
     "bench": "lscan.cli.bench:bench",
     "leaderboard": "lscan.cli.bench:leaderboard",
