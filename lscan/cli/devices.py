@@ -1,18 +1,25 @@
-"""The command ``lscan devices``: a thin face over lscan.devices.listing and .trials."""
+"""``lscan devices``, a thin face over lscan.devices.listing and .trials, and ``lscan init``."""
 
-from collections.abc import Iterator
+import os
+import tomllib
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import typer
+from rich.console import Console
 from rich.table import Table
 from typer import Argument, Option
 
 from lscan.acquisition.scan import open_devices
-from lscan.cli.console import Json, progress_bar, show, table
-from lscan.config.rig import RigFile, load_rig
+from lscan.cli.console import Json, one_of, progress_bar, require_folders, show, table
+from lscan.cli.inputs import parse_numbers
+from lscan.config.documents import toml_text
+from lscan.config.rig import RigFile, checked_rig, load_rig
+from lscan.config.scenes import scene_file
+from lscan.config.userfiles import SCHEMAS, json_schema
 from lscan.devices.api import Fact, LaserSwitch
 from lscan.devices.genicam import found_cameras
 from lscan.devices.listing import drivers, rig_devices, serial_ports, video_devices
@@ -26,6 +33,7 @@ from lscan.devices.trials import (
     try_track,
 )
 from lscan.errors import InputError
+from lscan.files.disk import json_text, make_folder, read_text, write_atomically
 
 
 def devices(
@@ -86,8 +94,9 @@ def _listing_lines(listing: dict[str, Any]) -> Iterator[str | Table]:
         yield table("serial ports", ["device", "description"], rows)
     else:
         yield "serial ports: " + ("none found" if ports == [] else "not listed, no pyserial here")
-    rows = [[driver.name, driver.kind, driver.does] for driver in listing["drivers"]]
-    yield table("drivers", ["name", "kind", "what it drives"], rows)
+    if listing["drivers"]:
+        rows = [[driver.name, driver.kind, driver.does] for driver in listing["drivers"]]
+        yield table("drivers", ["name", "kind", "what it drives"], rows)
     for kind, facts in listing.get("rig", {}).items():
         yield _facts_table(f"the rig's {kind}", facts)
 
@@ -214,3 +223,169 @@ def _in_words(fact: Fact) -> str:
     if fact is None or isinstance(fact, bool):
         return {True: "yes", False: "no", None: "unknown"}[fact]
     return fact if isinstance(fact, str) else f"{fact:.6g}"
+
+
+# A rig file for the devices that are found.
+
+
+QUESTIONS = {
+    "camera": "camera: its number, path or address",
+    "track": "track: its serial port, or manual",
+    "scan": "scan: STEP,LENGTH in mm",
+    "board": "board: a file, the name of one that comes with lscan, or none",
+    "water": "what is before the camera: fresh or sea water behind a window, or air",
+}
+"""What ``lscan init`` asks, by the option that answers it."""
+MY_BOARD = "my-board.toml"
+_WINDOW = """\
+# The window: air before the glass and the glass itself, each with its standard uncertainty.
+gap_mm = [10.0, 5.0]
+thickness_mm = [5.0, 3.0]
+# The water, likewise.
+"""
+_OPTICS = {
+    "fresh": f"{_WINDOW}temperature_c = [20.0, 5.0]",
+    "sea": f"{_WINDOW}temperature_c = [15.0, 5.0]\nsalinity_psu = [35.0, 2.0]",
+    "air": 'port = "none"',
+}
+_RIG = """\
+#:schema ./{schemas}/rig.json
+# A rig, as `lscan scan`, `live` and `devices` take it.  All keys: lscan schema rig --text
+
+name = "my scanner"
+
+[camera]
+driver = "opencv"
+width_px = {size_px[0]}
+height_px = {size_px[1]}
+exposure_ms = 20
+# State gain, focus and white_balance too: what changes by itself changes the line.
+options = {{ {camera} }}
+
+[track]
+{track}
+
+[plan]
+start_mm = 0
+step_mm = {step_mm:g}
+frames = {frames}
+# "on": the controller lights the laser for the scan; "pairs": each picture is taken without, too.
+laser = "untouched"
+
+[optics]
+{optics}
+
+# A webcam's tone curve, about 2.2, is found by: lscan devices RIG --test
+# [stripe]
+# gamma = 2.2
+"""
+_BOARD = """
+[board]
+file = {file}
+"""
+_GRBL = """\
+driver = "grbl"
+# zero_mm: where the machine's own coordinate, 0 at the switches, has the position 0.
+options = {{ port = {port}, min_mm = 0, max_mm = {length_mm:g}, zero_mm = {zero_mm:g} }}"""
+_MANUAL = """\
+driver = "manual"
+options = {{ min_mm = 0, max_mm = {length_mm:g} }}"""
+
+
+def init(
+    output: Path = Argument(Path("rig.toml"), help="Rig file to write."),
+    camera: str | None = Option(None, help="Number, path or address of the camera."),
+    track: str | None = Option(None, help="Serial port of the track, or manual."),
+    scan: str | None = Option(None, help="Step and length of the scan: STEP,LENGTH in mm."),
+    board: str | None = Option(
+        None, help="Board file, name of one that comes with lscan, which is copied, or none."
+    ),
+    water: str | None = Option(None, help="What is before the camera: fresh, sea or air."),
+    yes: bool = Option(False, "--yes", help="Ask nothing: take what would be proposed."),
+    force: bool = Option(False, "--force", help="Replace files that are there."),
+    json: Json = False,
+) -> None:
+    """Ask five questions, and write a rig file for the camera and the track."""
+    require_folders(output)
+    _require_new([output], force)
+    cameras, ports = video_devices(), serial_ports()
+    if not yes:
+        for line in _listing_lines({"cameras": cameras, "serial_ports": ports, "drivers": []}):
+            Console(stderr=True, markup=False).print(line)
+    ready = {
+        name: one.size_px
+        for one in cameras
+        for name in (*one.by_id, str(one.device))
+        if one.state == "ready"
+    }
+    my_board = output.with_name(MY_BOARD)
+    usual = {
+        "camera": next(iter(ready), "0"),
+        # A port without a description is one of the board's own, with nothing behind it.
+        "track": next((one.device for one in ports or () if one.description != "n/a"), "manual"),
+        "scan": "0.5,150",
+        "board": str(my_board) if my_board.is_file() else "paper/calibration-board",
+        "water": "fresh",
+    }
+    given = {"camera": camera, "track": track, "scan": scan, "board": board, "water": water}
+    answers = {
+        name: given[name] or (usual[name] if yes else typer.prompt(asked, usual[name], err=True))
+        for name, asked in QUESTIONS.items()
+    }
+    folder = output.parent / SCHEMAS
+    files, text = dict[Path, str](), _rig_text(answers, ready.get(answers["camera"]))
+    document = tomllib.loads(text)
+    if answers["board"] != "none":
+        plate = source = scene_file(answers["board"])
+        if source != Path(answers["board"]):  # one of lscan's, to be changed to the plate there is
+            plate = my_board
+            files[plate] = f"#:schema ./{SCHEMAS}/board.json\n{read_text(source)}"
+        text += _BOARD.format(file=_quoted(os.path.relpath(plate, output.parent)))
+        document["board"] = {"file": str(source)}
+    checked_rig(document, source=str(output))
+    files[output] = text
+    _require_new(files, force)
+    make_folder(folder)
+    for kind in ("rig", "board"):
+        if force or not os.path.lexists(folder / f"{kind}.json"):
+            files[folder / f"{kind}.json"] = f"{json_text(json_schema(kind))}\n"
+    for file, content in files.items():
+        write_atomically(file, content.encode())
+    next_steps = [
+        f"lscan devices {output} --test: tries the camera and the track out",
+        f"lscan live {output}: align, focus and expose, place the board, and scan",
+    ]
+    words = f"{', '.join(map(str, files))}: written; state there what is known of window and water"
+    show({"files": list(files), **answers}, words, *next_steps, json=json)
+
+
+def _require_new(files: Iterable[Path], force: bool) -> None:
+    for file in files:
+        if os.path.lexists(file) and not force:
+            raise InputError("is there already", where=file, allowed="a new file, or --force")
+
+
+def _rig_text(answers: dict[str, str], size_px: tuple[int, int] | None) -> str:
+    """The rig file, without its board, of a camera of that size where it is known."""
+    one_of(answers["water"], _OPTICS, "--water")
+    numbers = parse_numbers(answers["scan"], 2)
+    if numbers is None or not (numbers[0] > 0 and numbers[1] >= 0):
+        allowed = "STEP,LENGTH in mm, such as 0.5,150"
+        raise InputError("is no scan", where="--scan", value=answers["scan"], allowed=allowed)
+    (step_mm, length_mm), camera, port = numbers, answers["camera"], answers["track"]
+    key = "url" if "://" in camera else "device"
+    track = _MANUAL if port == "manual" else _GRBL
+    return _RIG.format(
+        schemas=SCHEMAS,
+        size_px=size_px or (640, 480),
+        camera=f"{key} = {int(camera) if camera.isdecimal() else _quoted(camera)}",
+        track=track.format(port=_quoted(port), length_mm=length_mm, zero_mm=-(length_mm + 10)),
+        step_mm=step_mm,
+        frames=int(length_mm / step_mm + 1e-9) + 1,
+        optics=_OPTICS[answers["water"]],
+    )
+
+
+def _quoted(text: str) -> str:
+    """A text in TOML."""
+    return toml_text({"_": text}).partition(" = ")[2].strip()

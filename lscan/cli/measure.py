@@ -1,7 +1,9 @@
-"""The commands ``lscan reconstruct`` and ``lscan measure``: thin faces over lscan.pipeline."""
+"""``lscan reconstruct``, ``grid``, ``export`` and ``measure``: a run's surface, and its files."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +11,7 @@ from rich.table import Table
 from typer import Argument, Option
 
 from lscan import pipeline
-from lscan.acquisition.run import Run
+from lscan.acquisition.run import Run, open_run
 from lscan.calibration.planemap import PlaneMap
 from lscan.cli.console import Json, Trust, note, progress_bar, require_folders, show, table
 from lscan.cli.inputs import open_calibrated
@@ -31,6 +33,7 @@ from lscan.surface import (
 )
 from lscan.surface.alignment import load_alignment, save_alignment as keep_alignment
 from lscan.surface.files import GRIDS, require_storable
+from lscan.surface.recording import head_camera, profiles_of, stamps_ns, write_recording
 
 ShaftFile = Annotated[
     Path | None, Option(help="TOML file with the [shaft] found; a run folder has its own.")
@@ -138,6 +141,70 @@ def grid(
     }
     words = f"{columns} x {rows} cells of {found.cell_mm:g} mm, {known} with a height"
     show(content, f"{words}; {', '.join(map(str, files))}", json=json)
+
+
+def export(
+    run: Path = Argument(help="Run folder."),
+    output: Path = Option(..., "--output", "-o", help="Recording to write (.mcap)."),
+    calibration: Path | None = Option(
+        None, "--calibration", "-c", help="Calibration file (JSON): points of each picture as well."
+    ),
+    surface: Path | None = Option(None, help="Surface of the run (.nc), whose points are taken."),
+    start: str | None = Option(
+        None, help="When the first picture was taken, as 2026-05-04T09:30:00Z; else its own clock."
+    ),
+    trust: Trust = False,
+    json: Json = False,
+) -> None:
+    """Write a run as an MCAP file of ROS 2 messages, for Foxglove, Rerun and ROS 2.
+
+    It holds pictures and positions.  With --calibration also the points of each picture, as it is
+    reconstructed, neither aligned nor corrected for the sheet's thickness, and the camera's place
+    and lens where the calibration knows them; --surface takes the points of `lscan reconstruct`.
+    """
+    require_folders(output)
+    if output.suffix.lower() != ".mcap":
+        raise InputError(
+            "no such kind of file", where="--output", value=str(output), allowed=".mcap"
+        )
+    if calibration is None:
+        opened, plane_map = open_run(run, trust), None
+    else:
+        opened, plane_map = open_calibrated(run, calibration, trusted=trust)
+    stamps, camera = stamps_ns(opened, _point_in_time(start)), None
+    if any(later <= earlier for earlier, later in pairwise(stamps)):
+        note("the camera's clock went back in this run, as where it was resumed: so do the stamps")
+    clouds: Iterable[Surface] | None = None
+    if plane_map is not None:
+        rig = opened.rig_file.rig
+        profiles = pipeline.read_profiles(opened, plane_map)
+        clouds = (pipeline.build_surface([profile], rig) for profile in profiles)
+        camera = head_camera(plane_map, rig)
+        if camera is None:
+            note(f"the plane map {plane_map.name} knows no camera: there is no camera_info")
+        elif camera.off_px > 0:
+            note(
+                "camera_info is that of a lens without a window: on the sheet it sees within "
+                f"{camera.off_px:.2g} px what the camera does, and elsewhere it does not"
+            )
+    if surface is not None:
+        clouds = profiles_of(load_surface(surface), opened, surface)
+    with progress_bar("export") as progress:
+        counts = write_recording(output, opened, stamps, clouds, camera, progress)
+    words = ", ".join(f"{count} of {topic}" for topic, count in counts.items())
+    show({"recording": output, "messages": counts}, f"{words}; {output}", json=json)
+
+
+def _point_in_time(text: str | None) -> datetime | None:
+    """The time that --start states, with its time zone."""
+    try:
+        time = None if text is None else datetime.fromisoformat(text)
+    except ValueError:
+        time = datetime.min
+    if time is not None and time.tzinfo is None:
+        allowed = "as 2026-05-04T09:30:00Z or 2026-05-04T11:30:00+02:00"
+        raise InputError("no time with its zone", where="--start", value=text, allowed=allowed)
+    return time
 
 
 def measure(

@@ -406,8 +406,23 @@ def load_rig(path: Path | str) -> RigFile:
     >>> lscan.load_rig("paper/sandwave").rig.camera.driver
     'sim'
     """
-    document = inline_board(read_document(path), source=str(path))
-    rig_file = parse_rig(document, source=str(path))
+    return checked_rig(read_document(path), source=str(path))
+
+
+def checked_rig(document: Document, source: str) -> RigFile:
+    """The rig in a document, checked as ``load_rig`` does.
+
+    Parameters
+    ----------
+    document : Document, as ``read_document`` gives it
+    source : str, the document's own file, for messages
+
+    Raises
+    ------
+    InputError
+        As ``load_rig``.
+    """
+    rig_file = parse_rig(inline_board(document, source), source)
     for driver in drivers_of(rig_file.rig, rig_file.source):
         driver.validate(rig_file)
     _check_names(rig_file)

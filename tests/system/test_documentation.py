@@ -39,6 +39,8 @@ ELSEWHERE = {
     "lscan measure runs/nod": "tests/system/test_shaft_tank.py",
     "lscan-sim serve": "tests/system/test_serve_command.py",
     "lscan grid": "tests/lscan/surface/test_grid_files.py",
+    "lscan init": "tests/lscan/cli/test_init_command.py",
+    "lscan export": "tests/lscan/surface/test_recording.py",
     "lscan roughness": "tests/lscan/cli/test_roughness_command.py",
     "lscan-sim dataset": "tests/sim/datasets/test_dataset.py",
     "lscan leaderboard": "tests/lscan/benchmark/test_leaderboard.py",
