@@ -105,14 +105,14 @@ def reconstruct(
 def grid(
     surface: Path = Argument(help="Surface (.nc)."),
     output: Path = Option(
-        ..., "--output", "-o", help="Grid to write: .nc, .tif (GeoTIFF) or .asc (ESRI ASCII)."
+        ..., "--output", "-o", help="Grid to write: .nc, .tif (GeoTIFF), .asc, .x3p or .sdf."
     ),
     cell: float | None = Option(
         None, help="Side of the cells, mm; by default the least of which few lack points."
     ),
     json: Json = False,
 ) -> None:
-    """Write a surface's heights on a regular grid, for programs of maps and images.
+    """Write a surface's heights on a regular grid, for programs of maps, images and roughness.
 
     Each height comes with its standard uncertainty and the number of its points; cells of too few
     points, and those whose points do not enclose their middle, stay without.

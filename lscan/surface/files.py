@@ -30,7 +30,7 @@ from lscan.files.containers import (
     unpack,
 )
 from lscan.files.disk import open_regular, read_bytes, write_atomically
-from lscan.files.rasters import Raster, esri_ascii_bytes, geotiff_bytes
+from lscan.files.rasters import Raster, esri_ascii_bytes, geotiff_bytes, sdf_bytes, x3p_bytes
 from lscan.records import Floats, Mask, Provenance, Status, Surface, has_value
 from lscan.surface.grid import HeightGrid
 from lscan.surface.surface import StoredProvenance
@@ -473,10 +473,11 @@ def _notes(what: str, surface: Surface) -> dict[str, Any]:
     return notes
 
 
-# Files of a regular grid, for programs of maps and images.
+# Files of a regular grid, for programs of maps, images and roughness.
 
 
-GRIDS = (".nc", ".tif", ".tiff", ".asc")
+_OF_ONE_BAND = {".asc": esri_ascii_bytes, ".x3p": x3p_bytes, ".sdf": sdf_bytes}
+GRIDS = (".nc", ".tif", ".tiff", *_OF_ONE_BAND)
 _HEIGHT, _SIGMA, _COUNT = "height z, mm", "standard uncertainty of z, mm", "points of the cell"
 
 
@@ -485,7 +486,8 @@ def save_grid(path: Path | str, grid: HeightGrid, surface: Surface) -> list[Path
 
     ``.nc``: NetCDF-4 after the CF conventions 1.11, x and y as axes of their own; what calibration
     gives to all heights in common is told apart, as ``sigma_calibration``.  ``.tif``: GeoTIFF of
-    three bands.  ``.asc``: two ESRI ASCII grids, the uncertainty in NAME-sigma.asc.
+    three bands.  ``.asc`` (ESRI ASCII), ``.x3p`` (ISO 25178-72) and ``.sdf`` (ISO 25178-71): two
+    files, the uncertainty in NAME-sigma, without the number of points; X3P and SDF in metres.
 
     Parameters
     ----------
@@ -500,7 +502,8 @@ def save_grid(path: Path | str, grid: HeightGrid, surface: Surface) -> list[Path
     Raises
     ------
     InputError
-        For another suffix, or where the file cannot be written.
+        For another suffix, a grid of more than 65,535 cells along a side for SDF, or where the file
+        cannot be written.
 
     Examples
     --------
