@@ -16,6 +16,7 @@ from lscan.cli.inputs import open_calibrated
 from lscan.config.rig import Rig
 from lscan.config.targets import Sandwave, load_shapes
 from lscan.errors import InputError, MeasurementError
+from lscan.files.clouds import cloud_writer
 from lscan.files.disk import write_json
 from lscan.measure import scale_along_track
 from lscan.measure.shapes import ShapeMeasure, measure_shapes
@@ -48,7 +49,7 @@ def reconstruct(
     run: Path = Argument(help="Run folder."),
     calibration: Path = Option(..., "--calibration", "-c", help="Calibration file (JSON)."),
     output: Path = Option(..., "--output", "-o", help="Surface to write (.nc)."),
-    points: Path | None = Option(None, help="Point cloud to write (.ply)."),
+    points: Path | None = Option(None, help="Point cloud to write: .ply, .las or .laz."),
     alignment: Path | None = Option(None, help="Alignment saved from a scan of the block (JSON)."),
     save_alignment: Path | None = Option(None, help="Alignment to write, for other scans (.json)."),
     shaft: ShaftFile = None,
@@ -57,6 +58,8 @@ def reconstruct(
 ) -> None:
     """Turn a run's pictures into a surface, aligned with the block if it is a sandwave's."""
     require_folders(output, points, save_alignment)
+    if points:
+        cloud_writer(points)  # what it refuses is known now, not after hours
     if alignment and save_alignment:
         raise InputError("goes without --alignment", where="--save-alignment")
     opened, plane_map = open_calibrated(run, calibration, shaft, trust)

@@ -1,4 +1,4 @@
-"""Files of a surface: NetCDF (kept and read back), PLY (points) and grids for other programs.
+"""Files of a surface: NetCDF (kept and read back), clouds and grids for other programs.
 
 The same surface gives the same bytes.
 """
@@ -14,11 +14,11 @@ from typing import Any, Literal, cast
 
 import h5py
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from lscan.config.documents import check
 from lscan.errors import InputError
+from lscan.files.clouds import Cloud, cloud_writer
 from lscan.files.containers import (
     PACKING,
     NetcdfArray,
@@ -206,7 +206,7 @@ def _require_our_codes(attributes: Mapping[str, Any], where: str) -> None:
         raise InputError("flag_meanings: are other ones", where=where, value=other, allowed=ours)
 
 
-# Files of a surface: NetCDF (kept and read back) and PLY (points for other programs).
+# Files of a surface: NetCDF (kept and read back) and clouds (points for other programs).
 
 
 SEPARATOR = "; "  # of the corrections
@@ -387,9 +387,11 @@ def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:
 
 
 def save_points(path: Path, surface: Surface) -> None:
-    """Write the points that have a value to a binary PLY file: x, y, z in mm as float32.
+    """Write the points that have a value to a cloud for other programs, by the suffix.
 
-    Each vertex carries ``sigma_mm``, the standard uncertainty of its z, and ``status``.
+    ``.ply``: PLY, in mm in single precision.  ``.las`` and ``.laz``: LAS 1.4, in metres in steps of
+    0.1 um; they need ``pip install 'lscan[clouds]'``.  Each point carries its uncertainty, its
+    status and, where the surface has it, its brightness (``ply_bytes``, ``las_bytes``).
 
     Parameters
     ----------
@@ -399,18 +401,22 @@ def save_points(path: Path, surface: Surface) -> None:
     Raises
     ------
     InputError
-        Where there is no point or the file cannot be written.
+        For another suffix, where a package is missing, there is no point, or the file cannot be
+        written.
     """
+    as_bytes = cloud_writer(path)
     keep = has_value(surface.status)
     if not keep.any():
         raise InputError("no point has a value", where=path, allowed="a surface with points")
-    cloud = trimesh.PointCloud(surface.xyz_mm[keep])
-    cloud.vertex_attributes = {
-        "sigma_mm": surface.sigma_z_mm[keep].astype(np.float32),
-        "status": surface.status[keep].astype(np.uint8),
-    }
-    content = cloud.export(file_type="ply")
-    write_atomically(path, content)
+    sigmas = {"x": surface.sigma_x_mm, "y": surface.sigma_y_mm, "z": surface.sigma_z_mm}
+    cloud = Cloud(
+        surface.xyz_mm[keep],
+        {axis: sigma[keep] for axis, sigma in sigmas.items() if sigma is not None},
+        surface.status[keep],
+        None if surface.brightness is None else surface.brightness[keep],
+        surface.frame,
+    )
+    write_atomically(path, as_bytes(cloud))
 
 
 def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]:
@@ -522,10 +528,10 @@ def save_grid(path: Path | str, grid: HeightGrid, surface: Surface) -> list[Path
     raster = Raster(west_mm, south_mm, grid.cell_mm, bands, f"lscan, {surface.frame} frame")
     if kind == ".nc":
         files = {path: netcdf_bytes(_grid_arrays(grid), _notes("Heights", surface))}
-    elif kind == ".asc":
+    elif kind in _OF_ONE_BAND:
         beside = path.with_name(f"{path.stem}-sigma{path.suffix}")
         of_bands = {path: _HEIGHT, beside: _SIGMA}
-        files = {file: esri_ascii_bytes(raster, band) for file, band in of_bands.items()}
+        files = {file: _OF_ONE_BAND[kind](raster, band) for file, band in of_bands.items()}
     else:
         files = {path: geotiff_bytes(raster)}
     for file, content in files.items():
