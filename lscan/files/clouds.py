@@ -102,8 +102,7 @@ def ply_bytes(cloud: Cloud) -> bytes:
     return "\n".join(head).encode() + vertices.tobytes()
 
 
-LAS_STEP_M = 1e-7
-"""Of coordinates in LAS, in whole steps of 32 bits: 0.1 um reach 214 m to either side."""
+_STEP = -7  # of coordinates in LAS, a power of ten of m: 0.1 um reach 214 m to either side
 _BRIGHTEST = 2**16 - 1
 
 
@@ -127,7 +126,7 @@ def las_bytes(cloud: Cloud, *, compressed: bool) -> bytes:
     laspy = _laspy()
     xyz = cloud.xyz_mm / 1000
     middle = np.rint((xyz.min(axis=0) + xyz.max(axis=0)) / 2) + 0.0  # no -0.0
-    step = fitting_step(float(np.abs(xyz - middle).max()), LAS_STEP_M)
+    step = fitting_step(float(np.abs(xyz - middle).max()), _STEP)
     header = laspy.LasHeader(version="1.4", point_format=6)
     header.offsets, header.scales = middle, np.full(3, step)
     header.system_identifier = f"lscan, {cloud.frame} frame"

@@ -245,7 +245,7 @@ def _md5(content: bytes) -> str:
 
 _MOST_OF_SDF = 2**16 - 1
 _MISSING = -(2**31)
-_STEP_MM = 1e-6  # of heights
+_NANOMETRE = -6  # as a power of ten of mm
 
 
 def sdf_bytes(raster: Raster, band: str) -> bytes:
@@ -275,7 +275,7 @@ def sdf_bytes(raster: Raster, band: str) -> bytes:
         raise InputError(what, where="grid", value=value, allowed=f"at most {_MOST_OF_SDF}")
     heights = raster.bands[band]
     known = np.isfinite(heights)
-    step_mm = fitting_step(float(np.abs(heights[known]).max(initial=0.0)), _STEP_MM)
+    step_mm = fitting_step(float(np.abs(heights[known]).max(initial=0.0)), _NANOMETRE)
     steps = np.full(raster.shape, _MISSING, "<i4")
     steps[known] = np.rint(heights[known] / step_mm)
     head = struct.pack(
@@ -297,17 +297,18 @@ def sdf_bytes(raster: Raster, band: str) -> bytes:
     return head + steps.tobytes()
 
 
-def fitting_step(most: float, least: float) -> float:
-    """The step of which 32 bits with a sign hold ``most``: ``least`` times a power of ten.
+def fitting_step(most: float, least_power: int) -> float:
+    """The least power of ten, of those from one on, of which 32 bits with a sign count to ``most``.
 
     Parameters
     ----------
     most : float, largest size of what is stored
-    least : float, the step where it holds that, same unit
+    least_power : int, exponent of the least step, in the same unit
 
     Examples
     --------
-    >>> fitting_step(2000.0, 1e-6), fitting_step(3000.0, 1e-6)
+    >>> fitting_step(2000.0, -6), fitting_step(3000.0, -6)
     (1e-06, 1e-05)
     """
-    return least * 10.0 ** max(0, ceil(log10(max(most, least) / (2**31 - 1) / least)))
+    least = most / (2**31 - 1)
+    return 10.0 ** max(least_power, ceil(log10(least)) if least else least_power)
