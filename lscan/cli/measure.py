@@ -49,7 +49,7 @@ def reconstruct(
     run: Path = Argument(help="Run folder."),
     calibration: Path = Option(..., "--calibration", "-c", help="Calibration file (JSON)."),
     output: Path = Option(..., "--output", "-o", help="Surface to write (.nc)."),
-    points: Path | None = Option(None, help="Point cloud to write: .ply, .las or .laz."),
+    points: Path | None = Option(None, help="Point cloud to write: .ply, .e57, .las or .laz."),
     alignment: Path | None = Option(None, help="Alignment saved from a scan of the block (JSON)."),
     save_alignment: Path | None = Option(None, help="Alignment to write, for other scans (.json)."),
     shaft: ShaftFile = None,

@@ -1,17 +1,22 @@
-"""Clouds of points with their quality, as other programs read them: PLY, LAS and LAZ."""
+"""Clouds of points with their quality, as other programs read them: PLY, E57, LAS and LAZ."""
 
+import hashlib
 import io
-from collections.abc import Callable, Mapping
+import struct
+import uuid
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lscan.errors import InputError
 from lscan.files.rasters import fitting_step
-from lscan.records import Floats, Ints
+from lscan.records import Bytes, Floats, Ints
 from lscan.version import __version__
 
 
@@ -41,7 +46,7 @@ def cloud_writer(path: Path) -> Callable[[Cloud], bytes]:
 
     Parameters
     ----------
-    path : Path, of a file ``.ply``, ``.las`` or ``.laz``
+    path : Path, of a file ``.ply``, ``.e57``, ``.las`` or ``.laz``
 
     Raises
     ------
@@ -52,7 +57,7 @@ def cloud_writer(path: Path) -> Callable[[Cloud], bytes]:
         ".las": partial(las_bytes, compressed=False),
         ".laz": partial(las_bytes, compressed=True),
     }
-    kinds: dict[str, Callable[[Cloud], bytes]] = {".ply": ply_bytes, **las}
+    kinds: dict[str, Callable[[Cloud], bytes]] = {".ply": ply_bytes, ".e57": e57_bytes, **las}
     kind = path.suffix.lower()
     if kind not in kinds:
         allowed = ", ".join(kinds)
@@ -100,6 +105,132 @@ def ply_bytes(cloud: Cloud) -> bytes:
     for name, values in (*columns.items(), ("status", cloud.status)):
         vertices[name] = values
     return "\n".join(head).encode() + vertices.tobytes()
+
+
+# E57: pages of 1024 bytes with a checksum each; in them a head, packets of points, and XML that
+# says what these are.
+
+
+_PAGE = 1020  # bytes of a page that are not its checksum
+_HEAD, _SECTION = struct.Struct("<8sIIQQQQ"), struct.Struct("<B7xQQQ")
+_E57_TYPES = {
+    "<f8": 'type="Float"',
+    "<f4": 'type="Float" precision="single"',
+    "|u1": 'type="Integer" minimum="0" maximum="255"',
+}
+_E57 = """<?xml version="1.0" encoding="UTF-8"?>
+<e57Root type="Structure" xmlns="http://www.astm.org/COMMIT/E57/2010-e57-v1.0"
+ xmlns:lscan="urn:lscan:e57">
+<formatName type="String">ASTM E57 3D Imaging Data File</formatName>
+<guid type="String">{{{file}}}</guid>
+<versionMajor type="Integer">1</versionMajor>
+<versionMinor type="Integer">0</versionMinor>
+<e57LibraryVersion type="String">lscan {version}</e57LibraryVersion>
+<coordinateMetadata type="String"/>
+<data3D type="Vector" allowHeterogeneousChildren="1">
+<vectorChild type="Structure">
+<guid type="String">{{{scan}}}</guid>
+<name type="String">{frame} frame</name>
+<cartesianBounds type="Structure">
+{bounds}
+</cartesianBounds>
+{limits}
+<points type="CompressedVector" fileOffset="{offset}" recordCount="{count}">
+<prototype type="Structure">
+{prototype}
+</prototype>
+<codecs type="Vector" allowHeterogeneousChildren="1"/>
+</points>
+</vectorChild>
+</data3D>
+<images2D type="Vector" allowHeterogeneousChildren="1"/>
+</e57Root>
+"""
+_LIMITS = """<intensityLimits type="Structure">
+<intensityMinimum type="Float">{low!r}</intensityMinimum>
+<intensityMaximum type="Float">{high!r}</intensityMaximum>
+</intensityLimits>"""
+
+
+def e57_bytes(cloud: Cloud) -> bytes:
+    """An E57 file of one scan, in metres in double precision.
+
+    Each point has, as fields of an extension, ``lscan:sigmaX``, ``lscan:sigmaZ`` and, where it is
+    known, ``lscan:sigmaY``, m in single precision, and ``lscan:status``; the line's brightness in
+    DN is its intensity, 0 where it is not known.  The identifiers are made from the points: the
+    same cloud gives the same bytes.
+
+    Parameters
+    ----------
+    cloud : Cloud
+
+    References
+    ----------
+    ASTM E2807-11.
+    """
+    xyz = cloud.xyz_mm / 1000
+    fields: dict[str, NDArray[Any]] = {
+        f"cartesian{axis}": values.astype("<f8") for axis, values in zip("XYZ", xyz.T, strict=True)
+    }
+    limits = ""
+    if cloud.brightness is not None:
+        fields["intensity"] = grey = np.nan_to_num(cloud.brightness).astype("<f4")
+        limits = _LIMITS.format(low=float(grey.min()), high=float(grey.max()))
+    for axis, values in cloud.sigma_mm.items():
+        fields[f"lscan:sigma{axis.upper()}"] = (values / 1000).astype("<f4")
+    fields["lscan:status"] = cloud.status.astype("u1")
+    packets = b"".join(_packets(fields))
+    bounds = (
+        f'<{axis}{end} type="Float">{value!r}</{axis}{end}>'
+        for end, corner in (("Minimum", xyz.min(axis=0)), ("Maximum", xyz.max(axis=0)))
+        for axis, value in zip("xyz", corner.tolist(), strict=True)
+    )
+    points = hashlib.sha256(packets).hexdigest()
+    file, scan = (uuid.uuid5(uuid.NAMESPACE_OID, points + of) for of in ("file", "scan"))
+    xml = _E57.format(
+        file=file,
+        scan=scan,
+        version=__version__,
+        frame=cloud.frame,
+        bounds="\n".join(bounds),
+        limits=limits,
+        offset=_HEAD.size,
+        count=len(xyz),
+        prototype="\n".join(f"<{name} {_E57_TYPES[v.dtype.str]}/>" for name, v in fields.items()),
+    ).encode()
+    first = _HEAD.size + _SECTION.size
+    section = _SECTION.pack(1, _SECTION.size + len(packets), first, 0)  # no index of the packets
+    end = first + len(packets)
+    size = -(-(end + len(xml)) // _PAGE) * (_PAGE + 4)
+    head = _HEAD.pack(b"ASTM-E57", 1, 0, size, end + 4 * (end // _PAGE), len(xml), _PAGE + 4)
+    return _paged(head + section + packets + xml)
+
+
+def _packets(fields: Mapping[str, NDArray[Any]]) -> Iterator[bytes]:
+    """Packets of points, field after field, of no more than 64 KiB each."""
+    count = (2**16 - 64) // sum(values.itemsize for values in fields.values())
+    for begin in range(0, len(fields["cartesianX"]), count):
+        streams = [values[begin : begin + count].tobytes() for values in fields.values()]
+        lengths = struct.pack(f"<H{len(streams)}H", len(streams), *map(len, streams))
+        body = b"".join((lengths, *streams))
+        body += bytes(-len(body) % 4)
+        yield struct.pack("<BBH", 1, 0, 4 + len(body) - 1) + body
+
+
+def _paged(content: bytes) -> bytes:
+    """The content in pages, each with its CRC-32C (Castagnoli), the highest byte first."""
+    content += bytes(-len(content) % _PAGE)
+    pages: Bytes = np.frombuffer(content, np.uint8).reshape(-1, _PAGE)
+    table = np.arange(256, dtype=np.uint32)
+    for _ in range(8):
+        table = np.where(table & 1, table >> 1 ^ np.uint32(0x82F63B78), table >> 1)
+    sums = np.full(len(pages), 2**32 - 1, np.uint32)
+    for place in np.ascontiguousarray(pages.T):
+        sums = table[(sums ^ place) & 0xFF] ^ sums >> 8
+    return np.hstack([pages, (~sums).astype(">u4").view(np.uint8).reshape(-1, 4)]).tobytes()
+
+
+# LAS and LAZ.
 
 
 _STEP = -7  # of coordinates in LAS, a power of ten of m: 0.1 um reach 214 m to either side

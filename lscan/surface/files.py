@@ -389,9 +389,10 @@ def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:
 def save_points(path: Path, surface: Surface) -> None:
     """Write the points that have a value to a cloud for other programs, by the suffix.
 
-    ``.ply``: PLY, in mm in single precision.  ``.las`` and ``.laz``: LAS 1.4, in metres in steps of
-    0.1 um; they need ``pip install 'lscan[clouds]'``.  Each point carries its uncertainty, its
-    status and, where the surface has it, its brightness (``ply_bytes``, ``las_bytes``).
+    ``.ply``: PLY, in mm in single precision.  ``.e57``: E57, in metres in double precision.
+    ``.las`` and ``.laz``: LAS 1.4, in metres in steps of 0.1 um; they need
+    ``pip install 'lscan[clouds]'``.  Each point carries its uncertainty, its status and, where the
+    surface has it, its brightness (``ply_bytes``, ``e57_bytes``, ``las_bytes``).
 
     Parameters
     ----------

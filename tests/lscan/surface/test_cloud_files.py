@@ -4,6 +4,7 @@ import struct
 import sys
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import laspy
 import numpy as np
@@ -12,7 +13,7 @@ from typer.testing import CliRunner
 
 from lscan.cli.app import app
 from lscan.errors import InputError
-from lscan.records import Floats, Status, Surface
+from lscan.records import Floats, Status, Surface, has_value
 from lscan.surface import save_points
 
 
@@ -142,11 +143,106 @@ def test_ply_names_the_uncertainty_as_meshlab_does_too(tmp_path: Path) -> None:
     assert b"intensity" not in (tmp_path / "plain.ply").read_bytes()
 
 
+def castagnoli(content: bytes) -> int:
+    """CRC-32C, bit by bit (RFC 3720, 12.1)."""
+    rest = 2**32 - 1
+    for byte in content:
+        rest ^= byte
+        for _ in range(8):
+            rest = rest >> 1 ^ (0x82F63B78 if rest & 1 else 0)
+    return rest ^ 2**32 - 1
+
+
+assert castagnoli(b"123456789") == 0xE3069283  # the check value of CRC-32/ISCSI
+
+E57 = "{http://www.astm.org/COMMIT/E57/2010-e57-v1.0}"
+OWN = "{urn:lscan:e57}"
+
+
+def e57_read(path: Path) -> tuple[dict[str, Floats], ElementTree.Element]:
+    """Fields of the only scan's points, and what the XML says of it, after ASTM E2807 alone."""
+    content = path.read_bytes()
+    magic, major, minor, size, xml_at, xml_length, page = struct.unpack_from("<8sIIQQQQ", content)
+    assert (magic, major, minor, size, page) == (b"ASTM-E57", 1, 0, len(content), 1024)
+    pages = [content[at : at + page] for at in range(0, size, page)]
+    for one in (pages[0], pages[1], pages[-1]):
+        assert castagnoli(one[:-4]) == int.from_bytes(one[-4:], "big")
+    logical = b"".join(one[:-4] for one in pages)
+
+    def place(physical: int) -> int:
+        return physical - 4 * (physical // page)
+
+    root = ElementTree.fromstring(logical[place(xml_at) : place(xml_at) + xml_length])
+    assert root.tag == f"{E57}e57Root"
+    (scan,) = root.findall(f"{E57}data3D/{E57}vectorChild")
+    points = scan.find(f"{E57}points")
+    assert points is not None
+    section = place(int(points.attrib["fileOffset"]))
+    kind, length, at, _ = struct.unpack_from("<B7xQQQ", logical, section)
+    assert kind == 1
+    fields = list(points.find(f"{E57}prototype") or ())
+    kinds = {("Float", None): "<f8", ("Float", "single"): "<f4", ("Integer", None): "u1"}
+    forms = [kinds[one.attrib["type"], one.get("precision")] for one in fields]
+    streams, at = [b""] * len(fields), place(at)
+    while at < section + length:
+        kind, flags, size, count = struct.unpack_from("<BBHH", logical, at)
+        assert (kind, flags, count) == (1, 0, len(fields)) and (size + 1) % 4 == 0
+        lengths = struct.unpack_from(f"<{count}H", logical, at + 6)
+        begin = at + 6 + 2 * count
+        for number, one in enumerate(lengths):
+            streams[number] += logical[begin : begin + one]
+            begin += one
+        at += size + 1
+    read = {
+        one.tag.replace(E57, "").replace(OWN, ""): np.frombuffer(stream, form).astype(float)
+        for one, stream, form in zip(fields, streams, forms, strict=True)
+    }
+    assert {len(values) for values in read.values()} == {int(points.attrib["recordCount"])}
+    return read, scan
+
+
+def test_e57_holds_metres_in_double_precision(tmp_path: Path) -> None:
+    many = replace(  # more than a packet of 64 KiB holds
+        SURFACE, **{name: np.tile(getattr(SURFACE, name), (4, 1)) for name in
+        ("sigma_x_mm", "sigma_z_mm", "status", "brightness")},
+        xyz_mm=np.tile(SURFACE.xyz_mm, (4, 1, 1)), position_mm=np.arange(80.0),
+    )  # fmt: skip
+    save_points(tmp_path / "cloud.e57", many)
+    read, scan = e57_read(tmp_path / "cloud.e57")
+    there = has_value(many.status)
+    for place, axis in enumerate("XYZ"):
+        values = many.xyz_mm[there][:, place] / 1000
+        np.testing.assert_array_equal(read[f"cartesian{axis}"], values)
+        for end, extreme in (("Minimum", values.min()), ("Maximum", values.max())):
+            bound = scan.findtext(f"{E57}cartesianBounds/{E57}{axis.lower()}{end}")
+            assert float(bound or "") == extreme
+    for name, sigma in (("sigmaX", many.sigma_x_mm), ("sigmaZ", many.sigma_z_mm)):
+        np.testing.assert_allclose(read[name], sigma[there] / 1000, rtol=1e-7)
+    np.testing.assert_array_equal(read["status"], many.status[there])
+    assert many.brightness is not None
+    np.testing.assert_allclose(read["intensity"], np.nan_to_num(many.brightness[there]), rtol=1e-7)
+    assert float(scan.findtext(f"{E57}intensityLimits/{E57}intensityMaximum") or "") == 70_000
+    assert scan.findtext(f"{E57}name") == "head frame"
+    before = (tmp_path / "cloud.e57").read_bytes()
+    save_points(tmp_path / "cloud.e57", many)
+    assert (tmp_path / "cloud.e57").read_bytes() == before
+
+
+def test_e57_has_what_a_workpiece_surface_knows(tmp_path: Path) -> None:
+    sigma_y = 2 * SURFACE.sigma_z_mm
+    aligned = replace(SURFACE, frame="workpiece", sigma_y_mm=sigma_y, brightness=None)
+    save_points(tmp_path / "cloud.e57", aligned)
+    read, scan = e57_read(tmp_path / "cloud.e57")
+    np.testing.assert_allclose(read["sigmaY"], sigma_y[THERE] / 1000, rtol=1e-7)
+    assert "intensity" not in read and scan.find(f"{E57}intensityLimits") is None
+    assert scan.findtext(f"{E57}name") == "workpiece frame"
+
+
 def test_what_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = replace(SURFACE, status=np.full_like(SURFACE.status, int(Status.NO_PEAK)))
     with pytest.raises(InputError, match="no point has a value"):
         save_points(tmp_path / "cloud.las", nothing)
-    with pytest.raises(InputError, match=r"no such kind of cloud.*\.ply, \.las, \.laz"):
+    with pytest.raises(InputError, match=r"no such kind of cloud.*\.ply, \.e57, \.las, \.laz"):
         save_points(tmp_path / "cloud.xyz", SURFACE)
     for name in ("laspy", "lazrs"):
         with monkeypatch.context() as patch:
@@ -158,7 +254,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_the_command_refuses_a_kind_before_it_reads_a_picture(tmp_path: Path) -> None:
-    options = ["-c", "no.json", "-o", str(tmp_path / "s.nc"), "--points", str(tmp_path / "p.e57")]
+    options = ["-c", "no.json", "-o", str(tmp_path / "s.nc"), "--points", str(tmp_path / "p.xyz")]
     refused = CliRunner().invoke(app, ["reconstruct", "no-run", *options])
     assert isinstance(refused.exception, InputError)
     assert "no such kind of cloud" in str(refused.exception)
