@@ -18,6 +18,7 @@ from lscan.cli.inputs import open_calibrated
 from lscan.config.rig import Rig
 from lscan.config.targets import Sandwave, load_shapes
 from lscan.errors import InputError, MeasurementError
+from lscan.files.clouds import cloud_writer
 from lscan.files.disk import write_json
 from lscan.measure import scale_along_track
 from lscan.measure.shapes import ShapeMeasure, measure_shapes
@@ -51,7 +52,7 @@ def reconstruct(
     run: Path = Argument(help="Run folder."),
     calibration: Path = Option(..., "--calibration", "-c", help="Calibration file (JSON)."),
     output: Path = Option(..., "--output", "-o", help="Surface to write (.nc)."),
-    points: Path | None = Option(None, help="Point cloud to write (.ply)."),
+    points: Path | None = Option(None, help="Point cloud to write: .ply, .e57, .las or .laz."),
     alignment: Path | None = Option(None, help="Alignment saved from a scan of the block (JSON)."),
     save_alignment: Path | None = Option(None, help="Alignment to write, for other scans (.json)."),
     shaft: ShaftFile = None,
@@ -60,6 +61,8 @@ def reconstruct(
 ) -> None:
     """Turn a run's pictures into a surface, aligned with the block if it is a sandwave's."""
     require_folders(output, points, save_alignment)
+    if points:
+        cloud_writer(points)  # what it refuses is known now, not after hours
     if alignment and save_alignment:
         raise InputError("goes without --alignment", where="--save-alignment")
     opened, plane_map = open_calibrated(run, calibration, shaft, trust)
@@ -108,14 +111,14 @@ def reconstruct(
 def grid(
     surface: Path = Argument(help="Surface (.nc)."),
     output: Path = Option(
-        ..., "--output", "-o", help="Grid to write: .nc, .tif (GeoTIFF) or .asc (ESRI ASCII)."
+        ..., "--output", "-o", help="Grid to write: .nc, .tif (GeoTIFF), .asc, .x3p or .sdf."
     ),
     cell: float | None = Option(
         None, help="Side of the cells, mm; by default the least of which few lack points."
     ),
     json: Json = False,
 ) -> None:
-    """Write a surface's heights on a regular grid, for programs of maps and images.
+    """Write a surface's heights on a regular grid, for programs of maps, images and roughness.
 
     Each height comes with its standard uncertainty and the number of its points; cells of too few
     points, and those whose points do not enclose their middle, stay without.

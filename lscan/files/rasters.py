@@ -1,12 +1,17 @@
-"""Rasters as programs for maps and images read them: GeoTIFF and ESRI ASCII."""
+"""Rasters as programs for maps, images and roughness read them: GeoTIFF, ESRI ASCII, X3P, SDF."""
 
+import hashlib
+import io
 import struct
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil, log10
 from xml.sax.saxutils import escape
 
 import numpy as np
 
+from lscan.errors import InputError
 from lscan.records import Floats
 from lscan.version import __version__
 
@@ -152,3 +157,158 @@ def esri_ascii_bytes(raster: Raster, band: str) -> bytes:
         for row in raster.bands[band][::-1].tolist()
     )
     return (head + "\n".join(lines) + "\n").encode()
+
+
+# X3P and SDF, of roughness: lengths in metres, y upwards, no colours and no more than one band.
+
+
+_MAIN = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
+<p:ISO5436_2 xmlns:p="http://www.opengps.eu/2008/ISO5436_2">
+  <Record1>
+    <Revision>ISO5436 - 2000</Revision>
+    <FeatureType>SUR</FeatureType>
+    <Axes>
+      <CX>
+        <AxisType>I</AxisType><DataType>D</DataType>
+        <Increment>{cell!r}</Increment><Offset>{x!r}</Offset>
+      </CX>
+      <CY>
+        <AxisType>I</AxisType><DataType>D</DataType>
+        <Increment>{cell!r}</Increment><Offset>{y!r}</Offset>
+      </CY>
+      <CZ>
+        <AxisType>A</AxisType><DataType>D</DataType>
+        <Increment>1</Increment><Offset>0</Offset>
+      </CZ>
+    </Axes>
+  </Record1>
+  <Record3>
+    <MatrixDimension>
+      <SizeX>{columns}</SizeX><SizeY>{rows}</SizeY><SizeZ>1</SizeZ>
+    </MatrixDimension>
+    <DataLink>
+      <PointDataLink>bindata/data.bin</PointDataLink>
+      <MD5ChecksumPointData>{md5}</MD5ChecksumPointData>
+    </DataLink>
+  </Record3>
+  <Record4>
+    <ChecksumFile>md5checksum.hex</ChecksumFile>
+  </Record4>
+</p:ISO5436_2>
+"""
+
+
+def x3p_bytes(raster: Raster, band: str) -> bytes:
+    """One band as an X3P file, in metres in double precision, NaN where there is no value.
+
+    The offsets of its axes are x and y of the first cell's middle.  Record 2, which says who
+    measured when, is left out: it asks for a date, and the same raster gives the same bytes.
+
+    Parameters
+    ----------
+    raster : Raster
+    band : str, one of its bands, mm
+
+    References
+    ----------
+    ISO 25178-72:2017, which took the format over from ISO 5436-2; its schema and samples are those
+    of the openGPS project.
+    """
+    rows, columns = raster.shape
+    heights = np.ascontiguousarray(raster.bands[band] / 1000, "<f8").tobytes()
+    half_mm = raster.cell_mm / 2
+    main = _MAIN.format(
+        cell=raster.cell_mm / 1000,
+        x=(raster.west_mm + half_mm) / 1000,
+        y=(raster.south_mm + half_mm) / 1000,
+        columns=columns,
+        rows=rows,
+        md5=_md5(heights),
+    ).encode()
+    members = {
+        "main.xml": main,
+        "bindata/data.bin": heights,
+        "md5checksum.hex": f"{_md5(main)} *main.xml\n".encode(),
+    }
+    with io.BytesIO() as file:
+        with zipfile.ZipFile(file, "w") as archive:
+            for name, content in members.items():
+                entry = zipfile.ZipInfo(name)  # of 1980: the same bytes whenever it is written
+                entry.external_attr = 0o644 << 16  # unzipped, it can be read
+                archive.writestr(entry, content, zipfile.ZIP_DEFLATED)
+        return file.getvalue()
+
+
+def _md5(content: bytes) -> str:
+    return hashlib.md5(content, usedforsecurity=False).hexdigest()
+
+
+_MOST_OF_SDF = 2**16 - 1
+_MISSING = -(2**31)
+_NANOMETRE = -6  # as a power of ten of mm
+
+
+def sdf_bytes(raster: Raster, band: str) -> bytes:
+    """One band as a binary SDF file: whole nanometres in 32 bits, the least number where no value.
+
+    Programs disagree on what a missing point is among real numbers and in text, and agree among
+    whole ones.  Beyond 2 m the steps are ten times as large, and so on.  The format has no place
+    for where the raster begins.  A date of zeros is one that is not known.
+
+    Parameters
+    ----------
+    raster : Raster
+    band : str, one of its bands, mm
+
+    Raises
+    ------
+    InputError
+        The raster has more rows or columns than the format counts.
+
+    References
+    ----------
+    ISO 25178-71:2017, version 1.0 of the file.
+    """
+    rows, columns = raster.shape
+    if max(rows, columns) > _MOST_OF_SDF:
+        what, value = "has too many cells along a side for SDF", f"{columns} x {rows}"
+        raise InputError(what, where="grid", value=value, allowed=f"at most {_MOST_OF_SDF}")
+    heights = raster.bands[band]
+    known = np.isfinite(heights)
+    step_mm = fitting_step(float(np.abs(heights[known]).max(initial=0.0)), _NANOMETRE)
+    steps = np.full(raster.shape, _MISSING, "<i4")
+    steps[known] = np.rint(heights[known] / step_mm)
+    head = struct.pack(
+        "<8s10s12s12sHHddddBBB",
+        b"bISO-1.0",
+        b"lscan".ljust(10),
+        b"0" * 12,  # made
+        b"0" * 12,  # changed
+        columns,
+        rows,
+        raster.cell_mm / 1000,
+        raster.cell_mm / 1000,
+        step_mm / 1000,
+        -1.0,  # the instrument's resolution: not known
+        0,  # not compressed
+        6,  # 32 bits with a sign
+        0,  # no checksum
+    )
+    return head + steps.tobytes()
+
+
+def fitting_step(most: float, least_power: int) -> float:
+    """The least power of ten, of those from one on, of which 32 bits with a sign count to ``most``.
+
+    Parameters
+    ----------
+    most : float, largest size of what is stored
+    least_power : int, exponent of the least step, in the same unit
+
+    Examples
+    --------
+    >>> fitting_step(2000.0, -6), fitting_step(3000.0, -6)
+    (1e-06, 1e-05)
+    """
+    least = most / (2**31 - 1)
+    return 10.0 ** max(least_power, ceil(log10(least)) if least else least_power)

@@ -1,4 +1,4 @@
-"""Files of a surface: NetCDF (kept and read back), PLY (points) and grids for other programs.
+"""Files of a surface: NetCDF (kept and read back), clouds and grids for other programs.
 
 The same surface gives the same bytes.
 """
@@ -14,11 +14,11 @@ from typing import Any, Literal, cast
 
 import h5py
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from lscan.config.documents import check
 from lscan.errors import InputError
+from lscan.files.clouds import Cloud, cloud_writer
 from lscan.files.containers import (
     PACKING,
     NetcdfArray,
@@ -30,7 +30,7 @@ from lscan.files.containers import (
     unpack,
 )
 from lscan.files.disk import open_regular, read_bytes, write_atomically
-from lscan.files.rasters import Raster, esri_ascii_bytes, geotiff_bytes
+from lscan.files.rasters import Raster, esri_ascii_bytes, geotiff_bytes, sdf_bytes, x3p_bytes
 from lscan.records import Floats, Mask, Provenance, Status, Surface, has_value
 from lscan.surface.grid import HeightGrid
 from lscan.surface.surface import StoredProvenance
@@ -206,7 +206,7 @@ def _require_our_codes(attributes: Mapping[str, Any], where: str) -> None:
         raise InputError("flag_meanings: are other ones", where=where, value=other, allowed=ours)
 
 
-# Files of a surface: NetCDF (kept and read back) and PLY (points for other programs).
+# Files of a surface: NetCDF (kept and read back) and clouds (points for other programs).
 
 
 SEPARATOR = "; "  # of the corrections
@@ -387,9 +387,12 @@ def _check_shapes(path: Path, arrays: Mapping[str, Floats]) -> None:
 
 
 def save_points(path: Path, surface: Surface) -> None:
-    """Write the points that have a value to a binary PLY file: x, y, z in mm as float32.
+    """Write the points that have a value to a cloud for other programs, by the suffix.
 
-    Each vertex carries ``sigma_mm``, the standard uncertainty of its z, and ``status``.
+    ``.ply``: PLY, in mm in single precision.  ``.e57``: E57, in metres in double precision.
+    ``.las`` and ``.laz``: LAS 1.4, in metres in steps of 0.1 um; they need
+    ``pip install 'lscan[clouds]'``.  Each point carries its uncertainty, its status and, where the
+    surface has it, its brightness (``ply_bytes``, ``e57_bytes``, ``las_bytes``).
 
     Parameters
     ----------
@@ -399,18 +402,22 @@ def save_points(path: Path, surface: Surface) -> None:
     Raises
     ------
     InputError
-        Where there is no point or the file cannot be written.
+        For another suffix, where a package is missing, there is no point, or the file cannot be
+        written.
     """
+    as_bytes = cloud_writer(path)
     keep = has_value(surface.status)
     if not keep.any():
         raise InputError("no point has a value", where=path, allowed="a surface with points")
-    cloud = trimesh.PointCloud(surface.xyz_mm[keep])
-    cloud.vertex_attributes = {
-        "sigma_mm": surface.sigma_z_mm[keep].astype(np.float32),
-        "status": surface.status[keep].astype(np.uint8),
-    }
-    content = cloud.export(file_type="ply")
-    write_atomically(path, content)
+    sigmas = {"x": surface.sigma_x_mm, "y": surface.sigma_y_mm, "z": surface.sigma_z_mm}
+    cloud = Cloud(
+        surface.xyz_mm[keep],
+        {axis: sigma[keep] for axis, sigma in sigmas.items() if sigma is not None},
+        surface.status[keep],
+        None if surface.brightness is None else surface.brightness[keep],
+        surface.frame,
+    )
+    write_atomically(path, as_bytes(cloud))
 
 
 def _contents(surface: Surface) -> tuple[dict[str, NetcdfArray], dict[str, Any]]:
@@ -473,10 +480,11 @@ def _notes(what: str, surface: Surface) -> dict[str, Any]:
     return notes
 
 
-# Files of a regular grid, for programs of maps and images.
+# Files of a regular grid, for programs of maps, images and roughness.
 
 
-GRIDS = (".nc", ".tif", ".tiff", ".asc")
+_OF_ONE_BAND = {".asc": esri_ascii_bytes, ".x3p": x3p_bytes, ".sdf": sdf_bytes}
+GRIDS = (".nc", ".tif", ".tiff", *_OF_ONE_BAND)
 _HEIGHT, _SIGMA, _COUNT = "height z, mm", "standard uncertainty of z, mm", "points of the cell"
 
 
@@ -485,7 +493,8 @@ def save_grid(path: Path | str, grid: HeightGrid, surface: Surface) -> list[Path
 
     ``.nc``: NetCDF-4 after the CF conventions 1.11, x and y as axes of their own; what calibration
     gives to all heights in common is told apart, as ``sigma_calibration``.  ``.tif``: GeoTIFF of
-    three bands.  ``.asc``: two ESRI ASCII grids, the uncertainty in NAME-sigma.asc.
+    three bands.  ``.asc`` (ESRI ASCII), ``.x3p`` (ISO 25178-72) and ``.sdf`` (ISO 25178-71): two
+    files, the uncertainty in NAME-sigma, without the number of points; X3P and SDF in metres.
 
     Parameters
     ----------
@@ -500,7 +509,8 @@ def save_grid(path: Path | str, grid: HeightGrid, surface: Surface) -> list[Path
     Raises
     ------
     InputError
-        For another suffix, or where the file cannot be written.
+        For another suffix, a grid of more than 65,535 cells along a side for SDF, or where the file
+        cannot be written.
 
     Examples
     --------
@@ -519,10 +529,10 @@ def save_grid(path: Path | str, grid: HeightGrid, surface: Surface) -> list[Path
     raster = Raster(west_mm, south_mm, grid.cell_mm, bands, f"lscan, {surface.frame} frame")
     if kind == ".nc":
         files = {path: netcdf_bytes(_grid_arrays(grid), _notes("Heights", surface))}
-    elif kind == ".asc":
+    elif kind in _OF_ONE_BAND:
         beside = path.with_name(f"{path.stem}-sigma{path.suffix}")
         of_bands = {path: _HEIGHT, beside: _SIGMA}
-        files = {file: esri_ascii_bytes(raster, band) for file, band in of_bands.items()}
+        files = {file: _OF_ONE_BAND[kind](raster, band) for file, band in of_bands.items()}
     else:
         files = {path: geotiff_bytes(raster)}
     for file, content in files.items():

@@ -1,10 +1,16 @@
 """Grids for other programs, as these read them: the right way up, in the right place."""
 
+import hashlib
 import re
+import struct
+import zipfile
+from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import x3pio
 import xarray as xr
 from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from typer.testing import CliRunner
@@ -101,6 +107,92 @@ def test_ascii_grids_hold_heights_and_their_uncertainties(tmp_path: Path, grid: 
         np.testing.assert_allclose(values[::-1], expected, atol=5.1e-7)
 
 
+X3P = "{http://www.opengps.eu/2008/ISO5436_2}ISO5436_2"
+
+
+def x3p_read(path: Path) -> tuple[dict[str, str], Floats]:
+    """Values of main.xml by their places, and the matrix, after ISO 25178-72 alone."""
+    with zipfile.ZipFile(path) as archive:
+        assert archive.testzip() is None
+        main, sums = archive.read("main.xml"), archive.read("md5checksum.hex").decode()
+        assert sums == f"{hashlib.md5(main).hexdigest()} *main.xml\n"
+        root = ElementTree.fromstring(main)
+        assert root.tag == X3P
+        assert [record.tag for record in root] == ["Record1", "Record3", "Record4"]
+        values = {
+            f"{parent.tag}.{child.tag}": (child.text or "").strip()
+            for parent in root.iter()
+            for child in parent
+        }
+        data = archive.read(values["DataLink.PointDataLink"])
+    assert hashlib.md5(data).hexdigest() == values["DataLink.MD5ChecksumPointData"].lower()
+    assert values["MatrixDimension.SizeZ"] == "1" and values["CZ.DataType"] == "D"
+    assert values["CX.AxisType"] == values["CY.AxisType"] == "I" and values["CZ.AxisType"] == "A"
+    size = (int(values["MatrixDimension.SizeY"]), int(values["MatrixDimension.SizeX"]))
+    matrix = np.frombuffer(data, "<f8").reshape(size)  # x fastest
+    return values, matrix * float(values["CZ.Increment"]) + float(values["CZ.Offset"])
+
+
+def test_x3p_holds_metres_with_y_upwards(tmp_path: Path, grid: HeightGrid) -> None:
+    files = save_grid(tmp_path / "grid.x3p", grid, SURFACE)
+    assert [file.name for file in files] == ["grid.x3p", "grid-sigma.x3p"]
+    for file, expected in zip(files, (grid.z_mm, grid.sigma_z_mm), strict=True):
+        values, heights = x3p_read(file)
+        np.testing.assert_array_equal(heights, expected / 1000)  # a missing one is NaN in both
+        assert np.isnan(heights).any()
+        assert values["CX.Increment"] == values["CY.Increment"] == "0.002"
+        assert float(values["CX.Offset"]) == grid.x_mm[0] / 1000
+        assert float(values["CY.Offset"]) == grid.y_mm[0] / 1000
+        # x3pio 2.0.0 compares the checksums too.
+        read = x3pio.read(file)
+        np.testing.assert_array_equal(read.layers[0].z, expected / 1000)
+        np.testing.assert_allclose(
+            read.placement.offset, [grid.x_mm[0] / 1000, grid.y_mm[0] / 1000, 0], atol=1e-15
+        )
+    before = files[0].read_bytes()
+    save_grid(tmp_path / "grid.x3p", grid, SURFACE)
+    assert files[0].read_bytes() == before
+
+
+SDF = "<8s10s12s12sHHddddBBB"
+
+
+def sdf_read(path: Path) -> tuple[float, Floats]:
+    """Side of the cells and heights, m, after ISO 25178-71 alone."""
+    content = path.read_bytes()
+    magic, _, made, changed, columns, rows, *rest = struct.unpack_from(SDF, content)
+    x, y, z, resolution, compression, kind, check = rest
+    assert magic == b"bISO-1.0" and made == changed == b"0" * 12
+    assert x == y and resolution < 0
+    assert (compression, kind, check) == (0, 6, 0)  # 32 bits with a sign, neither packed nor summed
+    steps = np.frombuffer(content, "<i4", offset=struct.calcsize(SDF)).reshape(rows, columns)
+    return x, np.where(steps == -(2**31), np.nan, steps * z)
+
+
+def test_sdf_holds_nanometres_with_y_upwards(tmp_path: Path, grid: HeightGrid) -> None:
+    files = save_grid(tmp_path / "grid.sdf", grid, SURFACE)
+    assert [file.name for file in files] == ["grid.sdf", "grid-sigma.sdf"]
+    for file, expected in zip(files, (grid.z_mm, grid.sigma_z_mm), strict=True):
+        cell, heights = sdf_read(file)
+        assert cell == CELL_MM / 1000
+        np.testing.assert_allclose(heights, expected / 1000, rtol=0, atol=0.5001e-9)
+        np.testing.assert_array_equal(np.isnan(heights), np.isnan(expected))
+
+
+def test_heights_beyond_2_m_make_the_steps_of_sdf_coarser(tmp_path: Path, grid: HeightGrid) -> None:
+    deep = replace(grid, z_mm=grid.z_mm - 2500.0)
+    _, heights = sdf_read(save_grid(tmp_path / "deep.sdf", deep, SURFACE)[0])
+    np.testing.assert_allclose(heights, deep.z_mm / 1000, rtol=0, atol=0.5001e-8)
+
+
+def test_a_grid_that_sdf_cannot_count_is_refused(tmp_path: Path, grid: HeightGrid) -> None:
+    long = np.zeros((1, 2**16))
+    wide = HeightGrid(np.arange(2.0**16), np.zeros(1), 1.0, long, long, long.astype(int), long)
+    with pytest.raises(InputError, match=r"65536 x 1.*65535"):
+        save_grid(tmp_path / "grid.sdf", wide, SURFACE)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_fitting_cell_is_the_least_that_few_lack_points_of() -> None:
     assert fitting_cell_mm(SURFACE) == 2.0  # 8 points in a cell of 1 mm, 9 are asked for
     sparse = Surface(
@@ -118,7 +210,7 @@ def test_the_command_writes_and_refuses(tmp_path: Path) -> None:
     done = invoke(app, ["grid", str(surface), "-o", str(tmp_path / "grid.tif")])
     assert "35 x 22 cells of 2 mm" in done.output and (tmp_path / "grid.tif").exists()
     for options, words in (
-        (["-o", str(tmp_path / "grid.png")], r"no such kind.*\.nc, \.tif"),
+        (["-o", str(tmp_path / "grid.png")], r"no such kind.*\.nc, \.tif.*\.x3p, \.sdf"),
         (["-o", str(tmp_path / "grid.nc"), "--cell", "0"], "not a size"),
         (["-o", str(tmp_path / "grid.nc"), "--cell", "0.001"], "too many cells"),
     ):
