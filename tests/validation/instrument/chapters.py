@@ -1,6 +1,7 @@
 """What the accuracy table has a figure for, a chapter each."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -89,6 +90,43 @@ def grid_rows(scenes: Path, effort: AccuracyEffort) -> list[Row]:
     return [_intervals("sandwave grid cells", error, sigma, effort)]
 
 
+QUIET = {"dark_noise_e": 7.0, "full_well_e": 32_500.0, "prnu": 0.005}
+"""Of an industrial sensor, Sony's IMX174 to two digits, as its cameras' makers measure it after
+EMVA 1288: in the dark its noise is a fifth of rounding to 8 bits."""
+DIM, DIM_THRESHOLD_DN = 0.15, 3.0  # of the scene's exposure: the line is 8 DN high then
+MOST_SEEDS = 6
+
+
+def bits_chapter(scenes: Path, effort: AccuracyEffort) -> list[Row]:
+    """What twelve bits are worth where the light is little: the noise of the slices' heights.
+
+    Most of a slice's error is no noise, and the same for both: of heights measured again and again
+    it is the scatter that bits can change.
+    """
+    seeds = (*effort.seeds, effort.seeds[-1] + 1)[:MOST_SEEDS]
+    scene = with_contrast(effort.best(scenes, "sandwave"), 0.0).with_tank(sensor=QUIET)
+    board = effort.best(scenes, "board")
+    plane_map = calibrations(board, seeds[:1], effort.map_name(board))[0].plane_map
+    stripe = scene.rig.stripe.model_copy(
+        update={"noise": None, "threshold_dn": DIM_THRESHOLD_DN}
+    )  # the noise is found: nobody states that of rounding
+    positions_mm = every_frame(scene, effort.coverage_step_mm)
+    noise_mm = {}
+    for bits in (8, 12):
+        update = {"bits": bits, "exposure_ms": DIM * scene.rig.camera.exposure_ms}
+        camera = scene.rig.camera.model_copy(update=update)
+        taken = replace(scene, rig=scene.rig.model_copy(update={"camera": camera}))
+        errors = [
+            slice_errors(taken, aligned_surface(taken, reading, plane_map))
+            for reading in read_scan(taken, positions_mm, seeds, stripe)
+        ]
+        points = np.array([np.concatenate([one.error_mm for one in e.values()]) for e in errors])
+        noise_mm[bits] = points[:, np.isfinite(points).all(axis=0)].std(axis=0, ddof=1)
+    rms = {bits: float(np.sqrt(np.mean(each**2))) for bits, each in noise_mm.items()}
+    words: dict[str, Any] = {"seed": seeds[0], "shallow": rms[8], "points": len(noise_mm[12])}
+    return [row("twelve-bits", rms[12] / rms[8], **words)]
+
+
 @lru_cache(maxsize=1)
 def _sandwaves(
     scenes: Path,
@@ -119,6 +157,7 @@ CHAPTERS: Mapping[str, Chapter] = {
     "grid and slices": speckled_chapter,
     "slices without speckle": partial(slices_chapter, contrast=0.0, rmse_mm=0.05, within_mm=0.2),
     "groove": groove_chapter,
+    "bits": bits_chapter,
     "board": board_chapter,
     "metric": metric_rows,
     "stripe": bound_rows,
