@@ -347,6 +347,28 @@ def read_chessboard(
     return _measure_corners(grey, seen, square_mm, CORNER_WINDOW)
 
 
+def charuco_board(
+    columns: int, rows: int, square_mm: float, marker_mm: float, dictionary: str
+) -> cv2.aruco.CharucoBoard:
+    """A ChArUco board as OpenCV has it, its upper left square dark.
+
+    Parameters
+    ----------
+    columns, rows, square_mm, marker_mm, dictionary : as for :func:`read_charuco`
+
+    Raises
+    ------
+    InputError
+        For markers larger than squares, or no dictionary.
+    """
+    if not 0 < marker_mm < square_mm:
+        allowed = f"above 0, below square_mm = {square_mm:g}"
+        raise InputError("bad size", where="marker_mm", value=marker_mm, allowed=allowed)
+    size = (columns + 1, rows + 1)
+    markers = _dictionary(dictionary, size[0] * size[1] // 2)
+    return cv2.aruco.CharucoBoard(size, square_mm, marker_mm, markers)
+
+
 def read_charuco(
     image: NDArray[Any],
     columns: int,
@@ -378,13 +400,9 @@ def read_charuco(
     BoardNotFound
         Where fewer than six corners are seen.
     """
-    if not 0 < marker_mm < square_mm:
-        allowed = f"above 0, below square_mm = {square_mm:g}"
-        raise InputError("bad size", where="marker_mm", value=marker_mm, allowed=allowed)
-    grey = bright_marks(image, channel, "bright")
+    board = charuco_board(columns, rows, square_mm, marker_mm, dictionary)
     size = (columns + 1, rows + 1)
-    markers = _dictionary(dictionary, size[0] * size[1] // 2)
-    board = cv2.aruco.CharucoBoard(size, square_mm, marker_mm, markers)
+    grey = bright_marks(image, channel, "bright")
     picture = _eight_bit(grey)
     corners, numbers = _charuco_corners(picture, board)
     if len(numbers) < FEWEST_CORNERS:

@@ -15,7 +15,14 @@ from lscan.files.disk import write_atomically
 from lscan.paper.experiment import Experiment
 from lscan.paper.report import results_json
 from sim.cli.app import OutputFolder, PaperFolder, Quick, SceneFile, show_places
-from sim.datasets.files import taken_at, taken_in, write_render, write_truth, write_views
+from sim.datasets.files import (
+    load_held_board,
+    taken_at,
+    taken_in,
+    write_render,
+    write_truth,
+    write_views,
+)
 from sim.devices import load_checked
 from sim.truth.placement import check_placement
 
@@ -92,10 +99,15 @@ def views(
     output: OutputFolder,
     poses: int = Option(10, min=1, max=100, help="Number of poses of the board."),
     seed: int = Option(1, min=0, help="Seed of the poses and the noise."),
+    board: Path | None = Option(
+        None,
+        help="TOML file with the [board] of a views file: a chessboard, say; else the scene's.",
+    ),
     json: Json = False,
 ) -> None:
     """Render a board held into the sheet in many poses, for lscan calibrate-metric."""
-    show_places(write_views(load_checked(scene), output, poses, seed), json)
+    held = None if board is None else load_held_board(board)
+    show_places(write_views(load_checked(scene), output, poses, seed, held), json)
 
 
 # ``lscan-sim demo``: the paper's experiment in the tank, with a report.

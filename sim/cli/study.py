@@ -9,9 +9,10 @@ from typer import Argument, Option
 
 from lscan.cli.console import Json, keep_notes_when_stopped, note, one_of, progress_bar, show, table
 from lscan.config.scenes import scenes_folder
+from lscan.errors import InputError
 from sim.cli.app import STUDIES, OutputFolder, ScenesFolder, worker_processes
 from sim.studies.budget import DesignTrial, OutputBudget
-from sim.studies.page import figure, largest, tolerance_sentence
+from sim.studies.page import comparison_text, figure, largest, tolerance_sentence, with_interval
 from sim.studies.problem import Bounded
 from sim.studies.results import as_document
 from sim.studies.studyfile import Tier
@@ -29,6 +30,12 @@ def study(
     tier: str = Option("", help="geometric, rendered or both, in place of the file's own."),
     at_most: int = Option(20_000, help="Greatest number of runs allowed.", min=1),
     resume: bool = Option(False, "--resume", help="Resume with the runs that the folder holds."),
+    against: list[str] = Option(
+        [],
+        metavar="KEY=NUMBER",
+        help="Compare with the same rig with another number of its scenes, on the same draws; "
+        "several make one other rig.",
+    ),
     json: Json = False,
 ) -> None:
     """Find where the error of a rig comes from: a budget, cause by cause, with intervals."""
@@ -38,8 +45,9 @@ def study(
     how = worker_processes(workers, processes)
     instead = one_of(tier, get_args(Tier), "--tier") if tier else None
     options = StudyOptions(how, scheduler, at_most, instead, resume)
+    others = _numbers(against)
     with keep_notes_when_stopped(), progress_bar("runs") as progress:
-        found = run_study(file, output, options, progress=progress, say=note)
+        found = run_study(file, output, options, against=others, progress=progress, say=note)
     lines = [*_budget_tables(found.outputs), *found.notes]
     if tolerances := found.tolerances:
         headings = ["cause", "stated", "allowed", "factor"]
@@ -47,6 +55,8 @@ def study(
                 for c in tolerances.causes]  # fmt: skip
         lines += [table("tolerances", headings, rows), tolerance_sentence(tolerances)]
     lines += _front_lines(found.trials)
+    if found.against:
+        lines += ["", comparison_text(found.against)]
     show(as_document(found), *lines, str(output / "report.html"), json=json)
 
 
@@ -70,6 +80,22 @@ def concavity(
     show(errors, table("error of the height", headings, cells), written, json=json)
 
 
+def _numbers(texts: list[str]) -> dict[str, float]:
+    """The numbers of --against by their keys; InputError where a text is none."""
+    found: dict[str, float] = {}
+    for text in texts:
+        key, _, number = text.partition("=")
+        try:
+            value = int(number) if number.strip().lstrip("+-").isdecimal() else float(number)
+        except ValueError:
+            allowed = "KEY=NUMBER, in the unit that the key ends in, such as lens.f_number=8"
+            raise InputError("no number", where="--against", value=text, allowed=allowed) from None
+        if key in found:
+            raise InputError("is given twice", where="--against", value=key, allowed="once")
+        found[key] = value
+    return found
+
+
 def _budget_tables(outputs: tuple[OutputBudget, ...]) -> Iterator[str | Table]:
     """The table of each field, cause by cause, and one of all other quantities."""
     for budget in (output for output in outputs if output.places > 1):
@@ -81,13 +107,13 @@ def _budget_tables(outputs: tuple[OutputBudget, ...]) -> Iterator[str | Table]:
             reverse=True,
         )
         cells = [
-            [one.cause, _with_interval(one.alone_rms), _percent(one.first), _percent(one.total)]
+            [one.cause, with_interval(one.alone_rms), _percent(one.first), _percent(one.total)]
             for one in most_first
         ]
         if again:  # where anything drifts
             headings.append("alone, recalibrated")
             for row in cells:
-                row.append(_with_interval(again[row[0]].alone_rms))
+                row.append(with_interval(again[row[0]].alone_rms))
         yield table(f"{budget.name}: rms {_rms(budget)}", headings, cells)
     headings = ["quantity", "rms error", "most of its variance", "total index"]
     cells = []
@@ -109,7 +135,7 @@ def _front_lines(trials: tuple[DesignTrial, ...]) -> Iterator[str | Table]:
     headings = ["design", *best[0][1].objectives, "same rigs", "rendered", "parts", "status"]
     cells = [
         [number, *(v if isinstance(v, str) else figure(v) for v in trial.objectives.values()),
-         figure(trial.predicted_mm), _with_interval(trial.rendered_mm),
+         figure(trial.predicted_mm), with_interval(trial.rendered_mm),
          ", ".join(map(str, trial.parts.values())), trial.status]
         for number, trial in best
     ]  # fmt: skip
@@ -118,15 +144,10 @@ def _front_lines(trials: tuple[DesignTrial, ...]) -> Iterator[str | Table]:
 
 def _rms(budget: OutputBudget) -> str:
     """What the error is in all, recalibrated, and with no cause at work."""
-    words = f"{_with_interval(budget.rms)} {budget.unit}"
+    words = f"{with_interval(budget.rms)} {budget.unit}"
     if budget.after:
-        words += f"; recalibrated {_with_interval(budget.after.rms)}"
+        words += f"; recalibrated {with_interval(budget.after.rms)}"
     return words if budget.base_rms is None else f"{words}; without causes {budget.base_rms:.2g}"
-
-
-def _with_interval(bounded: Bounded | None) -> str:
-    """A figure with its interval, "" where there is none."""
-    return "" if bounded is None else f"{bounded.value:.3g} ± {bounded.half_width:.1g}"
 
 
 def _percent(bounded: Bounded | None) -> str:

@@ -3,23 +3,27 @@
 import csv
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from lscan.acquisition.run import Run, require_same_files
-from lscan.config.board import Board
-from lscan.config.documents import Document, write_toml
+from lscan.board.chessboard import charuco_board
+from lscan.calibration.metric.views import Charuco, Chessboard, Dots, HeldBoard
+from lscan.config.board import Board, Grid, Plate, load_board
+from lscan.config.documents import Document, Strict, check, read_document, write_toml
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
-from lscan.records import Floats, Mask, Picture, Progress, Status
+from lscan.records import Bytes, Floats, Mask, Picture, Progress, Status
 from sim.scene import SECTIONS, Scene, at_moment, camera_pose, rotation, scene_of, sheet_pose
 from sim.scene.file import check_samples, is_changing
+from sim.scene.matter import Texture
 from sim.truth import board_truth, line_brightness, project, stripe_truths
 from sim.water import water_optics
 
@@ -265,6 +269,11 @@ CROSSED = 0.7  # of the dots' lesser half side: how near to the middle the line 
 STEEPEST = 1.5  # of the line in the picture: it is looked for column by column, or row by row
 MARGIN_PX = 3.0  # that the board keeps from the picture's border
 SIDE_POINTS = 9  # of the outline that are looked for in the picture, a side
+RIM = 2.0  # squares that a chessboard's plate reaches beyond its inner corners, if not stated
+SQUARE_PX = 200  # of the print of a square: its edges are as sharp as 1/200 of it
+MOST_PX = 8000  # of the print's squares, a side
+INK_DN = 20  # of 255, the paper: reflectance 0.08 of its
+UNSEEN_MM = 1e-3  # of a dot
 
 
 @dataclass(frozen=True)
@@ -285,11 +294,35 @@ class Poses:
         return Poses(self.middle_mm[wanted], self.rotation[wanted], self.features[wanted])
 
 
-def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> dict[str, Path]:
+class BoardDocument(Strict):
+    """A file that says which board is held, as the ``[board]`` of a views file does."""
+
+    board: HeldBoard
+
+
+def load_held_board(path: Path) -> HeldBoard:
+    """The board in a TOML file whose one section is the ``[board]`` of a views file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    InputError
+        Names the key that is wrong.
+    """
+    return check(BoardDocument, read_document(path), where=path).board
+
+
+def write_views(
+    scene: Scene, folder: Path, count: int = 10, seed: int = 1, board: HeldBoard | None = None
+) -> dict[str, Path]:
     """Write ``views.toml``, ``board.toml``, and two pictures for each pose.
 
     The pictures of a pose, ``pose-0.png`` with the lamps alone and ``pose-0-laser.png`` with lamps
-    and laser, are what ``lscan calibrate-metric folder/views.toml`` takes.
+    and laser, are what ``lscan calibrate-metric folder/views.toml`` takes.  Of a chessboard or a
+    ChArUco board there is its print, ``board.png``, in place of ``board.toml``.
 
     Parameters
     ----------
@@ -299,6 +332,8 @@ def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> d
         To write to; it is made.
     count, seed
         Of the poses; of the poses and of all noise.
+    board
+        Another board than the scene's, which then may have any target.
 
     Returns
     -------
@@ -309,19 +344,72 @@ def write_views(scene: Scene, folder: Path, count: int = 10, seed: int = 1) -> d
     InputError
         Where the scene lacks board, lamps or laser, or where too few poses serve.
     """
+    if board is not None:
+        board, plate = _plate_of(board)
+        target = {"shape": "board", "file": None, "texture": None, "sand": None, "rough": None}
+        scene = replace(scene, rig=scene.rig.model_copy(update={"board": plate}))
+        scene = scene.with_tank(target=target)
     held = held_scenes(scene, count, seed)
     make_folder(folder)
-    files: dict[str, Path] = {}
+    if board is None or isinstance(board, Dots):
+        files = {"board": folder / "board.toml"}
+        write_toml(files["board"], scene.board().model_dump(mode="json", exclude_none=True))
+        margin = None if board is None else board.margin_mm
+        board = Dots(kind="dots", file="board.toml", margin_mm=margin)
+    else:
+        files = {"board": folder / "board.png"}
+        texture, printed = _print_of(board, files["board"])
+        write_picture(files["board"], printed)
+        held = [pose.with_tank(target={"texture": texture}) for pose in held]
     for number, pose in enumerate(held):
         dark, lit = photograph(pose, np.random.default_rng([seed, number]))
         for name, image in ((f"pose-{number}", dark), (f"pose-{number}-laser", lit)):
             files[name] = folder / f"{name}.png"
             write_picture(files[name], image)
-    board = scene.board().model_dump(mode="json", exclude_none=True)
-    for name, document in (("board", board), ("views", _views(scene, count))):
-        files[name] = folder / f"{name}.toml"
-        write_toml(files[name], document)
+    files["views"] = folder / "views.toml"
+    write_toml(files["views"], _views(scene, board, count))
     return files
+
+
+def _plate_of(held: HeldBoard) -> tuple[HeldBoard, Board]:
+    """The board with its margin stated, and as one of dots: those of squares too small to be seen.
+
+    The tank knows boards of dots: a chessboard is a plate with a picture on it.
+    """
+    if isinstance(held, Dots):
+        return held, load_board(Path(held.file))
+    square = held.square_mm
+    margin = RIM * square if held.margin_mm is None else held.margin_mm
+    if margin < square:
+        what = "board.margin_mm: less than the outer squares"
+        raise InputError(what, value=margin, allowed=f"square_mm = {square:g} or more")
+    if isinstance(held, Charuco):
+        _charuco(held)  # refuses what is none, before anything is written
+    grid = Grid(columns=held.columns, rows=held.rows, pitch_mm=square, dot_diameter_mm=UNSEEN_MM)
+    plate = Board(grid=grid, plate=Plate(margin_mm=margin))
+    return held.model_copy(update={"margin_mm": margin}), plate
+
+
+def _print_of(board: Chessboard | Charuco, file: Path) -> tuple[Texture, Bytes]:
+    """How the print lies on the plate, its picture in ``file``, and that picture, (H, W)."""
+    across, down, square = board.columns + 1, board.rows + 1, board.square_mm
+    side = min(SQUARE_PX, MOST_PX // max(across, down))
+    if isinstance(board, Charuco):
+        squares = np.asarray(_charuco(board).generateImage((across * side, down * side)))
+    else:
+        bright = np.add.outer(np.arange(down), np.arange(across)) % 2 * 255
+        squares = np.kron(bright, np.ones((side, side), int))
+    rim_px = round(((board.margin_mm or square) / square - 1) * side)
+    printed = np.pad(np.maximum(squares, INK_DN), rim_px, constant_values=255).astype(np.uint8)
+    height, width = (pixels * square / side for pixels in printed.shape)
+    beyond = square * (1 + rim_px / side)
+    corner = (-beyond, beyond - height)
+    return Texture(file=str(file), corner_mm=corner, size_mm=(width, height)), printed
+
+
+def _charuco(board: Charuco) -> cv2.aruco.CharucoBoard:
+    sizes = board.columns, board.rows, board.square_mm, board.marker_mm
+    return charuco_board(*sizes, board.dictionary)
 
 
 def photograph(scene: Scene, generator: np.random.Generator) -> tuple[Picture, Picture]:
@@ -481,11 +569,11 @@ def _scene_of_pose(scene: Scene, board: Board, poses: Poses, number: int) -> Sce
     return scene.with_tank(target={"position_mm": tuple(corner.tolist()), **update})
 
 
-def _views(scene: Scene, count: int) -> Document:
+def _views(scene: Scene, board: HeldBoard, count: int) -> Document:
     """The views file, in the words of ``lscan calibrate-metric``."""
     rig = scene.rig
     return {
-        "board": {"kind": "dots", "file": "board.toml"},
+        "board": board.model_dump(mode="json", exclude_none=True),
         "optics": rig.optics.model_dump(mode="json", exclude_unset=True, exclude_none=True),
         "stripe": rig.stripe.model_dump(mode="json", exclude_unset=True, exclude_none=True),
         "view": [

@@ -269,6 +269,74 @@ class Tolerances:
 
 
 @dataclass(frozen=True)
+class PartChange:
+    """What one part of an output's mean square is in each of two rigs, in the unit squared.
+
+    Attributes
+    ----------
+    part : str, a cause or group, whose part is its first-order index times the variance; "the
+        mean error", the same on all rigs; or "interaction", no cause's own.  They add up
+    this, other : Bounded
+    difference : Bounded, the other's less this one's, of the same draws
+    """
+
+    part: str
+    this: Bounded | None
+    other: Bounded | None
+    difference: Bounded | None
+
+
+@dataclass(frozen=True)
+class OutputComparison:
+    """The rms error of an output in two rigs on the same draws, in the output's unit.
+
+    Attributes
+    ----------
+    name, unit : str
+    places : int, 1 of a scalar
+    this, other : Bounded, of either rig
+    ratio : Bounded, the other's over this one's
+    difference : Bounded, the other's less this one's
+    narrower : float, how many times as wide the ratio's interval would be on draws of its own
+    verdict : str, in words: better or worse, by how much, and through which part
+    parts : tuple of PartChange, the largest change first
+    """
+
+    name: str
+    unit: str
+    places: int
+    this: Bounded | None
+    other: Bounded | None
+    ratio: Bounded | None
+    difference: Bounded | None
+    narrower: float | None
+    verdict: str
+    parts: tuple[PartChange, ...]
+
+
+@dataclass(frozen=True)
+class RigComparison:
+    """A study's rig and another one that differs in some numbers, on the same draws.
+
+    Attributes
+    ----------
+    changes : mapping, from keys to this rig's number and the other's
+    told : tuple of str, what the other rig's file states otherwise, since it follows
+    folder : str, of the other rig's own study, beside these results
+    rigs : int, pairs with all causes at work in which neither failed
+    failed : tuple of int, of these rigs how many failed, of this one and of the other
+    outputs : tuple of OutputComparison
+    """
+
+    changes: Mapping[str, tuple[float, float]]
+    told: tuple[str, ...]
+    folder: str
+    rigs: int
+    failed: tuple[int, int]
+    outputs: tuple[OutputComparison, ...]
+
+
+@dataclass(frozen=True)
 class StudyResults:
     """All that a study found.
 
@@ -288,6 +356,7 @@ class StudyResults:
     tiers : tuple of TierRow, where both tiers were run
     trials : tuple of DesignTrial, where designs were searched
     tolerances : Tolerances, where the study's file asks for them
+    against : RigComparison, where another rig was to be compared
     """
 
     name: str
@@ -305,6 +374,7 @@ class StudyResults:
     tiers: tuple[TierRow, ...] = ()
     trials: tuple[DesignTrial, ...] = ()
     tolerances: Tolerances | None = None
+    against: RigComparison | None = None
 
 
 # The budget of a study's runs: rms, mean and scatter of each output, and each cause's part in it.

@@ -17,6 +17,7 @@ from sim.studies.budget import (
     ErrorMap,
     IndexConvergence,
     OutputBudget,
+    RigComparison,
     StudyResults,
     Tolerances,
 )
@@ -352,6 +353,7 @@ def render_page(results: StudyResults) -> str:
         share=share,
         headline=headline,
         kept=tolerance_sentence,
+        compared=comparison_words,
         ranked=ranked_causes,
     )
     return template.render(
@@ -441,6 +443,62 @@ def tolerance_sentence(tolerances: Tolerances) -> str:
     return " ".join([*words, tolerances.note]).strip()
 
 
+def comparison_text(comparison: RigComparison) -> str:
+    """Another rig against a study's own as plain text, for whoever builds one of them.
+
+    Parameters
+    ----------
+    comparison : RigComparison
+    """
+    lines, causes = [*comparison_words(comparison), ""], list[str]()
+    errors = [["rms error of", "unit", "this rig", "the other", "the other over this", "narrower"]]
+    for one in comparison.outputs:
+        name = one.name.replace(AFTER, f" {RECALIBRATED}")
+        lines.append(f"{name}: {one.verdict}.")
+        bounds = map(with_interval, (one.this, one.other, one.ratio))
+        errors.append([name, one.unit, *bounds, figure(one.narrower)])
+        if one.places > 1:
+            parts = [
+                [part.part, *map(with_interval, (part.this, part.other, part.difference))]
+                for part in one.parts
+            ]
+            headings = [f"mean square of {name}, {one.unit}²", "this rig", "the other", "change"]
+            causes += ["", *_in_columns([headings, *parts])]
+    return "\n".join([*lines, "", *_in_columns(errors), *causes])
+
+
+def comparison_words(comparison: RigComparison) -> list[str]:
+    """What differs between two rigs, and what they were compared by, in sentences.
+
+    Parameters
+    ----------
+    comparison : RigComparison
+    """
+    changed = [f"{key} {old:g} to {new:g}" for key, (old, new) in comparison.changes.items()]
+    told, (this, other) = "; ".join(comparison.told), comparison.failed
+    words = [
+        f"The other rig: {', '.join(changed)}.",
+        f"Its file then states {told}." if told else "",
+        f"Compared by {comparison.rigs} rigs of each, on the same draws: with draws of their own, "
+        "the interval of a ratio would be so many times as wide as “narrower” says.",
+        f"Rigs that failed with either are left out, {this} of this one and {other} of the other."
+        if this or other
+        else "",
+        "Each interval is one of 95 %: of twenty quantities that are the same, one is expected to "
+        "look different.",
+    ]
+    return [one for one in words if one]
+
+
+def _in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table, the first column left-aligned."""
+    wide = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "   ".join([row[0].ljust(wide[0]), *map(str.rjust, row[1:], wide[1:])]).rstrip()
+        for row in rows
+    ]
+
+
 def _mm(size: float | None) -> str:
     return "not to be had" if size is None else f"{figure(size)}\u00a0mm"
 
@@ -491,6 +549,23 @@ def figure(value: float | None) -> str:
         return "—"
     text = f"{value:.0f}" if 1000 <= abs(value) < 1e7 else f"{value:.3g}"
     return text.replace("-", "−")
+
+
+def with_interval(bounded: Bounded | None) -> str:
+    """A figure with half its interval's width, a dash where there is none.
+
+    Parameters
+    ----------
+    bounded : Bounded or None
+
+    Examples
+    --------
+    >>> with_interval(Bounded(0.4127, 0.39, 0.43))
+    '0.413 ± 0.02'
+    """
+    return (
+        figure(None) if bounded is None else f"{figure(bounded.value)} ± {bounded.half_width:.1g}"
+    )
 
 
 def share(value: float | None) -> str:

@@ -520,7 +520,7 @@ def moments(errors: Floats, rendered: Floats | None = None) -> Moments:
 
 
 def moment_pseudo_values(errors: Floats, rendered: Floats | None = None) -> dict[str, Floats]:
-    """(SETS,) pseudo-values of each of ``Moments``, and of the rms, by name.
+    """(SETS,) pseudo-values of each of ``Moments``, of the rms and of its logarithm, by name.
 
     Squares are taken about each tier's own mean: a shift between the tiers would else be a part of
     them that the first does not explain.
@@ -546,6 +546,7 @@ def moment_pseudo_values(errors: Floats, rendered: Floats | None = None) -> dict
         "variance": variance,
         "mean_square": lambda of: systematic(of) + variance(of),
         "rms": lambda of: np.sqrt(np.maximum(systematic(of) + variance(of), 0.0)),
+        "log_rms": lambda of: np.log(np.maximum(systematic(of) + variance(of), 0.0)) / 2,
     }
     return {name: means.pseudo_values(figure) for name, figure in figures.items()}
 
@@ -576,11 +577,20 @@ def next_base(indices: Iterable[Indices], wanted_half_width: float, base: int) -
     return grown
 
 
-def _output_indices(design: Design, tiers: Sequence[Mapping[str, Floats]]) -> Indices:
-    names = (ALL, AGAIN, *map(mixed_block, design.groups))
-    both = [np.concatenate([blocks[ALL], blocks[AGAIN]]) for blocks in tiers]
+def index_pseudo_values(
+    design: Design, tiers: Sequence[Mapping[str, Floats]]
+) -> dict[str, tuple[Floats, Floats, int]]:
+    """Of each group (SETS,) pseudo-values of its first-order and its total index, and samples used.
+
+    Parameters
+    ----------
+    design : Design
+    tiers : sequence of mapping, of each tier an output's (N, P) results block by block, the tier
+        that counts last; NaN where there is none
+    """
+    both = both_draws(tiers)
     centres = [_centre(*both[: k + 1]) for k in range(len(both))]
-    groups, firsts = {}, []
+    found = {}
     for group in design.groups:
         samples = []
         for blocks, centre in zip(tiers, centres, strict=True):
@@ -589,15 +599,33 @@ def _output_indices(design: Design, tiers: Sequence[Mapping[str, Floats]]) -> In
             term_means(*(_terms(*terms(a, b, c), _dot(a, b)) for a, b, c in samples))
             for terms in (_of_first, _of_total)
         )
-        firsts.append(first.pseudo_values(lambda of: _ratio(of, 1.0)))
-        pseudo = total.pseudo_values(lambda of: _ratio(of, 0.0))
-        groups[group] = GroupIndices(interval(firsts[-1]), interval(pseudo, True), first.used)
+        pseudo = first.pseudo_values(lambda of: _ratio(of, 1.0))
+        found[group] = pseudo, total.pseudo_values(lambda of: _ratio(of, 0.0)), first.used
+    return found
+
+
+def both_draws(tiers: Sequence[Mapping[str, Floats]]) -> list[Floats]:
+    """(2 N, P) results of all rigs with all causes at work, tier by tier.
+
+    Parameters
+    ----------
+    tiers : sequence of mapping, as in ``index_pseudo_values``
+    """
+    return [np.concatenate([blocks[ALL], blocks[AGAIN]]) for blocks in tiers]
+
+
+def _output_indices(design: Design, tiers: Sequence[Mapping[str, Floats]]) -> Indices:
+    names = (ALL, AGAIN, *map(mixed_block, design.groups))
+    both, pseudo = both_draws(tiers), index_pseudo_values(design, tiers)
     known = both[-1][_intact(both[-1])]
     constant = len(known) > 0 and bool((known == known[:1]).all())
     failed = sum(int(np.sum(~_intact(tiers[0][name]))) for name in names)
     return Indices(
-        groups=groups,
-        rest=interval(1 - np.sum(firsts, axis=0)),
+        groups={
+            group: GroupIndices(interval(first), interval(total, True), used)
+            for group, (first, total, used) in pseudo.items()
+        },
+        rest=interval(1 - np.sum([first for first, _, _ in pseudo.values()], axis=0)),
         moments=moments(*both),
         base=len(tiers[0][ALL]),
         failed=failed,

@@ -25,7 +25,7 @@ from lscan.records import Floats
 from lscan.version import __version__
 from sim.studies.budget import CauseFacts, StudyResults, StudyRuns
 from sim.studies.executor import keep_identity, locked_folder, read_identity, require_same
-from sim.studies.page import render_page
+from sim.studies.page import comparison_text, render_page
 from sim.studies.problem import AGAIN, ALL, Design, Output, StudyProblem, columns, width
 from sim.studies.rig.states import correlate, share_of
 from sim.studies.studyfile import Cause, Study
@@ -415,7 +415,7 @@ def _one_line(text: str) -> str:
 # The files of a study: results.json, runs.nc with every run, and the page report.html.
 
 
-RESULTS, RUNS, PAGE = "results.json", "runs.nc", "report.html"
+RESULTS, RUNS, PAGE, AGAINST = "results.json", "runs.nc", "report.html", "against.txt"
 MOST_BYTES = 2**28
 """Of results.json: a hundred fields of a thousand places with fifty causes are half of it."""
 _IN_UNIT = ("base_rms", "mean", "standard_uncertainty", "range_95", "rms", "stated_rms")
@@ -425,6 +425,8 @@ _RESULTS = TypeAdapter(StudyResults)
 
 def write_results(folder: Path, results: StudyResults, runs: StudyRuns) -> None:
     """Write the three files into a folder, each whole or not at all; same results, same bytes.
+
+    Where another rig was compared, the comparison is in a fourth one too, in plain text.
 
     Parameters
     ----------
@@ -441,6 +443,8 @@ def write_results(folder: Path, results: StudyResults, runs: StudyRuns) -> None:
     write_atomically(folder / RUNS, runs_netcdf(runs, results.name))
     write_json(folder / RESULTS, as_document(results))
     write_atomically(folder / PAGE, render_page(results).encode())
+    if results.against:
+        write_atomically(folder / AGAINST, f"{comparison_text(results.against)}\n".encode())
 
 
 def as_document(results: StudyResults) -> dict[str, Any]:

@@ -24,8 +24,16 @@ from sim.studies.budget import (
     error_maps,
     scatters_of,
 )
+from sim.studies.comparison import (
+    RigRuns,
+    changes_of,
+    compare_rigs,
+    other_rig,
+    restated_of,
+)
 from sim.studies.design.run import design_problem, design_runs, search_designs
 from sim.studies.problem import (
+    ALL,
     BASE,
     Design,
     Indices,
@@ -65,6 +73,8 @@ from sim.studies.tiers import (
 )
 
 PREPARED, RUNS, RENDERED_RUNS, TIGHTER = "prepared.npz", "runs", "runs-rendered", "tolerances"
+OTHERS = "against"
+"""Folder of the studies of other rigs, each in one that is named after its changes."""
 COUNTED = ("height",)
 """The outputs whose indices are to be known as well as the study's file asks."""
 BOTH = (
@@ -78,10 +88,14 @@ def run_study(
     output: Path,
     options: StudyOptions | None = None,
     *,
+    against: Mapping[str, float] | None = None,
     progress: Progress | None = None,
     say: Callable[[str], None] | None = None,
 ) -> StudyResults:
     """Run a study and write its results.json, runs.nc and report.html.
+
+    With ``against`` it is then run once more, on the same draws, of a rig some of whose numbers are
+    others; that study's files lie in a folder beneath, and against.txt has the comparison.
 
     Parameters
     ----------
@@ -90,7 +104,9 @@ def run_study(
     output : Path
         Folder; its ``runs`` keeps what has been computed.
     options : StudyOptions, optional
-        How it is run.
+        How it is run; ``at_most`` counts the runs of both rigs.
+    against : mapping, optional
+        From dotted keys of the scenes to the other rig's numbers, as ``other_rig`` takes them.
     progress : callable, optional
         Called with the number of runs done and of all.
     say : callable, optional
@@ -99,23 +115,97 @@ def run_study(
     Raises
     ------
     InputError
-        The file is wrong; the study has more runs than were agreed to; the folder holds another
-        study's runs, or this one's without ``resume``.
+        The file, or a number of the other rig, is wrong; the study has more runs than were agreed
+        to; the folder holds another study's runs, or this one's without ``resume``.
     LscanError
         The rig as it ought to be cannot be calibrated or scanned.
     """
     options, say = options or StudyOptions(), say or (lambda _: None)
-    began = time.monotonic()
     study = load_study(path)
     check_keys(study)
-    tier = options.tier or study.file.tier
-    smallest = _design(study, study.file.precision.base)
-    bound = study.file.tolerances
-    section = study.file.design
-    problem = None if section is None else design_problem(study, section)
+    rows = _design(study, study.file.precision.base).rows
+    bound, section = study.file.tolerances, study.file.design
     more = (MOST_RUNS if bound else 0) + (0 if section is None else design_runs(section))
-    require_at_most(smallest.rows, options.at_most, more)
+    if not against:
+        require_at_most(rows, options.at_most, more)
+        return _run_in_folder(study, output, options, progress, say).results
+    other = other_rig(study, against)
+    check_keys(other)
+    require_at_most(rows, options.at_most, more + len(distinct_rows(rows)))
+    options = replace(options, at_most=options.at_most // 2)
+    this = _run_in_folder(study, output, options, progress, say)
+    changes = changes_of(study, other, list(against))
+    name = ",".join(f"{key}={number:.12g}" for key, (_, number) in sorted(changes.items()))
+    say(f"the other rig, {name}: the same draws, in {output / OTHERS / name}")
+    own = _same_draws(other, len(this.found.design.blocks[ALL]))
+    that = _run_in_folder(own, output / OTHERS / name, options, progress, say)
+    compared = compare_rigs(
+        this.found.design,
+        this.rig_runs,
+        that.rig_runs,
+        changes,
+        restated_of(study, other),
+        f"{OTHERS}/{name}",
+    )
+    seconds = this.results.seconds + that.results.seconds
+    results = replace(this.results, against=compared, seconds=seconds)
+    write_results(output, results, this.runs)
+    return results
+
+
+@dataclass(frozen=True)
+class _TierRuns:
+    """A design with its results, and the indices of each smaller design and of it."""
+
+    tier: Tier
+    design: Design
+    results: Results
+    store: ResultStore
+    convergence: list[tuple[int, dict[str, Indices]]]
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """The outputs of the rows."""
+        return self.store.identity.outputs
+
+
+@dataclass(frozen=True)
+class _DoneStudy:
+    """A study with its results written; rendered: of both tiers, the second one's."""
+
+    results: StudyResults
+    runs: StudyRuns
+    found: _TierRuns
+    rendered: tuple[Design, Results] | None
+
+    @property
+    def rig_runs(self) -> RigRuns:
+        """What its rig is compared by with another one."""
+        design = self.found.design
+        whole = self.rendered and pad_rows(design, self.rendered[0], self.rendered[1].values)
+        return RigRuns(self.found.outputs, self.found.results.values, whole)
+
+
+def _same_draws(study: Study, base: int) -> Study:
+    """The study of another rig with as many samples as the first one's, and no more questions."""
+    precision = study.file.precision.model_copy(update={"base": base, "most": base})
+    update = {"precision": precision, "tolerances": None, "design": None}
+    return replace(study, file=study.file.model_copy(update=update))
+
+
+def _run_in_folder(
+    study: Study,
+    output: Path,
+    options: StudyOptions,
+    progress: Progress | None,
+    say: Callable[[str], None],
+) -> _DoneStudy:
+    """The study run until its indices are known, and its files."""
+    began = time.monotonic()
+    tier, section = options.tier or study.file.tier, study.file.design
+    problem = None if section is None else design_problem(study, section)
     if tier == "both":  # refused before anything is run, not after hours
+        smallest = _design(study, study.file.precision.base)
         rendered_design(smallest, {}, study.file.precision.rendered)
     if (output / RUNS).exists() and not options.resume:
         what = "holds runs of a study"
@@ -141,23 +231,7 @@ def run_study(
     seconds = time.monotonic() - began
     results = replace(results, tolerances=tolerances, trials=trials, seconds=seconds)
     write_results(output, results, runs)
-    return results
-
-
-@dataclass(frozen=True)
-class _TierRuns:
-    """A design with its results, and the indices of each smaller design and of it."""
-
-    tier: Tier
-    design: Design
-    results: Results
-    store: ResultStore
-    convergence: list[tuple[int, dict[str, Indices]]]
-
-    @property
-    def outputs(self) -> tuple[Output, ...]:
-        """The outputs of the rows."""
-        return self.store.identity.outputs
+    return _DoneStudy(results, runs, found, rendered)
 
 
 def _until_known(running: StudyRunning, tier: Tier) -> _TierRuns:

@@ -14,6 +14,9 @@ from sim.studies.budget import (
     CauseFacts,
     DesignTrial,
     IndexConvergence,
+    OutputComparison,
+    PartChange,
+    RigComparison,
     StudyResults,
     StudyRuns,
     TierRow,
@@ -205,7 +208,21 @@ def study_results(seed: int = 1) -> tuple[StudyResults, StudyRuns]:
             500,
             Bounded(0.954, 0.932, 0.969),
         ),
+        against=_against(),
     ), runs
+
+
+def _against() -> RigComparison:
+    """Of the height less, through tilt, of the yaw nothing known."""
+    this, other, less = Bounded(1.1, 1.0, 1.2), Bounded(0.6, 0.5, 0.7), Bounded(-0.5, -0.6, -0.4)
+    parts = (PartChange("tilt", this, other, less), PartChange("interaction", None, None, None))
+    words = "the other rig is better: its rms error is 0.545 ± 0.04 of this one’s"
+    height = OutputComparison(
+        "height", "mm", 80, this, other, Bounded(0.545, 0.51, 0.59), less, 4.2, words, parts
+    )
+    yaw = OutputComparison("yaw", "deg", 1, None, None, None, None, None, "not compared", ())
+    changes, told = {"port.tilt_deg": (0.2, 0.1)}, ("optics.gap_mm = 16, 3",)
+    return RigComparison(changes, told, "against/port.tilt_deg=0.1", 512, (3, 0), (height, yaw))
 
 
 def _trial(angle: float, camera: float, laser: float, *, on_front: bool) -> DesignTrial:

@@ -37,6 +37,7 @@ ELSEWHERE = {
     "lscan calibrate-shaft": "tests/system/test_shaft_tank.py",
     "lscan scan shaft/": "tests/system/test_shaft_tank.py",
     "lscan measure runs/nod": "tests/system/test_shaft_tank.py",
+    "lscan-sim views metric/water --board": "tests/sim/datasets/test_views.py",
     "lscan-sim serve": "tests/system/test_serve_command.py",
     "lscan grid": "tests/lscan/surface/test_grid_files.py",
     "lscan init": "tests/lscan/cli/test_init_command.py",

@@ -202,6 +202,9 @@ class Charuco(Strict):
     margin_mm: PositiveFloat | None = None
 
 
+HeldBoard = Annotated[Dots | Chessboard | Charuco, Field(discriminator="kind")]
+
+
 class ViewEntry(Strict):
     """One pose.  laser: the picture with the line on it, or "same"; no line if left out.
 
@@ -231,7 +234,7 @@ class ViewsDocument(Strict):
 
     name: str = "unnamed"
     channel: Channel = "grey"
-    board: Annotated[Dots | Chessboard | Charuco, Field(discriminator="kind")]
+    board: HeldBoard
     optics: OpticsSection = OpticsSection()
     k3: Known = (0.0, 0.0)
     stripe: StripeSection = StripeSection()

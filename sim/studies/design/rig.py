@@ -345,10 +345,22 @@ def _at(key: str, value: float, document: Document) -> Document:
 def _stated_by_owner(document: Document) -> Document:
     """What the rig's owner states of it, where the base states it: it is made to agree."""
     tank = _tank(document, "the design")
-    lens, laser, sensor = tank.lens, tank.laser, tank.sensor
-    told: dict[str, Any] = {"lens": {"focus_mm": apparent_mm(tank)}}
+    told = {"lens": {"focus_mm": apparent_mm(tank)}, **stated_of_light(document)}
     if "optics" in document:
         told["optics"] = _optics(tank, document["optics"])
+    return told
+
+
+def stated_of_light(document: Document) -> Document:
+    """What [stripe] and [sheet] state of lens, sensor and laser, made to agree with the tank's.
+
+    Parameters
+    ----------
+    document : Document, of a scene; of these sections, what it does not state is left out
+    """
+    tank = _tank(document, "the design")
+    lens, laser, sensor = tank.lens, tank.laser, tank.sensor
+    told: dict[str, Any] = {}
     stripe = document.get("stripe", {})
     if "blur_px" in stripe:
         told["stripe"] = {"blur_px": lens.blur_px}
@@ -392,16 +404,34 @@ def apparent_mm(tank: TankSections) -> float:
 
 def _optics(tank: TankSections, stated: Document) -> Document:
     """[optics] of the same keys, its numbers those of the tank."""
-    nm, focal, port = tank.laser.wavelength_nm, tank.lens.focal_px, tank.port
-    true = {
-        "focal_px": (focal, FOCAL_KNOWN * focal),
-        "thickness_mm": (port.thickness_mm, THICKNESS_KNOWN_MM),
-        "glass_index": (glass_index(port.glass_index, nm), None),
-        "water_index": (water_optics(tank.water, nm).index, None),
-    }
+    true = true_optics(tank)
+    known = {"focal_px": FOCAL_KNOWN * true["focal_px"], "thickness_mm": THICKNESS_KNOWN_MM}
     told: Document = {
-        key: [value, stated[key][1] if sigma is None else sigma]
-        for key, (value, sigma) in true.items()
+        key: [true[key], known[key] if key in known else stated[key][1]]
+        for key in ("focal_px", "thickness_mm", "glass_index", "water_index")
         if key in stated
     }
-    return told | ({"wavelength_nm": nm} if "wavelength_nm" in stated else {})
+    return told | {key: true[key] for key in ("wavelength_nm",) if key in stated}
+
+
+def true_optics(tank: TankSections) -> dict[str, float]:
+    """What [optics] may state of lens, port and water, as it truly is, by its keys.
+
+    Parameters
+    ----------
+    tank : TankSections
+    """
+    lens, nm = tank.lens, tank.laser.wavelength_nm
+    port = {key: value for key, value in tank.port if key in ("gap_mm", "thickness_mm")}
+    centre_u, centre_v = lens.centre_px
+    return {
+        **{key: getattr(lens, key) for key in ("focal_px", "k1", "k2", "p1", "p2")},
+        "centre_u_px": centre_u,
+        "centre_v_px": centre_v,
+        **port,
+        "glass_index": glass_index(tank.port.glass_index, nm),
+        "water_index": water_optics(tank.water, nm).index,
+        "temperature_c": tank.water.temperature_c,
+        "salinity_psu": tank.water.salinity_psu,
+        "wavelength_nm": nm,
+    }

@@ -175,7 +175,7 @@ class PredictedError:
         ----------
         document : Document, of the scan with the design's parts
         """
-        parts = _changed_keys(document, self.scan)
+        parts = changed_keys(document, self.scan)
         parts = {key: value for key, value in parts.items() if key not in OF_THE_SCAN}
         parts.get("camera", {}).pop("exposure_ms", None)
         base = self._scene(self.calibrate)
@@ -315,13 +315,18 @@ def _light(scene: Scene) -> float:
     return photons * sensor.gain / sensor.full_well_e
 
 
-def _changed_keys(document: Mapping[str, Any], base: Mapping[str, Any]) -> Document:
-    """The keys of a document that are not as in the base, table by table."""
+def changed_keys(document: Mapping[str, Any], base: Mapping[str, Any]) -> Document:
+    """The keys of a document that are not as in the base, table by table.
+
+    Parameters
+    ----------
+    document, base : mapping
+    """
     found: Document = {}
     for key, value in document.items():
         own = base.get(key)
         if isinstance(value, Mapping) and isinstance(own, Mapping):
-            if inner := _changed_keys(value, own):
+            if inner := changed_keys(value, own):
                 found[key] = inner
         elif value != own:
             found[key] = value

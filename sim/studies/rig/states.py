@@ -1,6 +1,6 @@
 """The two states of a rig that a row stands for: as it was calibrated, and as it scans."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -87,9 +87,9 @@ def states_of(study: Study, row: Floats, root: Floats | None = None) -> RigState
         if cause.when == "as-built":
             before |= numbers
     board, anew = (
-        _apply_numbers(study.calibrate, state, CALIBRATE, where) for state in (before, since)
+        apply_numbers(study.calibrate, state, CALIBRATE, where) for state in (before, since)
     )
-    scan = _apply_numbers(study.scan, since, SCAN, where)
+    scan = apply_numbers(study.scan, since, SCAN, where)
     if changes:
         every = (*scan.tank.change, *changes)
         scan = replace(scan, tank=scan.tank.model_copy(update={"change": every}))
@@ -185,8 +185,21 @@ def check_keys(study: Study) -> None:
                 raise InputError(error.what, where=where, value=value, allowed=allowed) from error
 
 
-def _apply_numbers(scene: Scene, numbers: dict[str, float], own: str, where: str) -> Scene:
-    """The scene with the numbers that are meant for it."""
+def apply_numbers(scene: Scene, numbers: Mapping[str, float], own: str, where: str) -> Scene:
+    """The scene with the numbers that are meant for it.
+
+    Parameters
+    ----------
+    scene : Scene
+    numbers : mapping, from keys, those of one scene alone with CALIBRATE or SCAN before them
+    own : str, CALIBRATE or SCAN, which of these is the scene
+    where : str, what an error names
+
+    Raises
+    ------
+    InputError
+        A number is out of the range of its key, or no number has that key.
+    """
     mine = {
         key.removeprefix(own): number
         for key, number in numbers.items()

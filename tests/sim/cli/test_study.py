@@ -22,6 +22,7 @@ from sim.cli.app import app
 from sim.studies import concavity
 from sim.studies.concavity import ConcavityCase, ConcavityErrors
 from sim.studies.design.catalogue import load_catalogue
+from sim.studies.page import comparison_text
 from sim.studies.results import load_results
 from sim.studies.rig.evaluation import GeometricRig
 from sim.studies.rig.states import check_keys
@@ -132,10 +133,19 @@ def test_results_with_and_without_recalibration_are_printed(
     objectives = {"error / mm": 0.1, "cost / €": 1234.0, "laser class": "3R"}
     trial = replace(results.trials[0], objectives=objectives, on_front=True)
     results = replace(results, trials=(trial,))
-    monkeypatch.setattr("sim.studies.study.run_study", lambda *_, **__: results)
+    asked: list[object] = []
+
+    def run_study(*_: object, against: object, **__: object) -> object:
+        asked.append(against)
+        return results
+
+    monkeypatch.setattr("sim.studies.study.run_study", run_study)
     monkeypatch.setenv("COLUMNS", "300")
-    found = CliRunner().invoke(app, ["study", "any.toml"])
+    against = ["--against", "lens.f_number=8", "--against", "port.gap_mm=1.5e1"]
+    found = CliRunner().invoke(app, ["study", "any.toml", *against])
     assert found.exit_code == 0, found.exception
+    assert asked == [{"lens.f_number": 8, "port.gap_mm": 15.0}]
+    assert results.against and comparison_text(results.against) in found.stdout
     for cause in ("tilt", "salinity", "speckle"):
         assert cause in found.stdout
     assert ("alone, recalibrated" in found.stdout) == drifts
@@ -183,6 +193,27 @@ def test_going_on_with_a_study_that_is_done_gives_the_same_bytes(
     assert after == before
     for file in ("runs.nc", "prepared.npz"):
         assert (again / file).read_bytes() == (finished / "out" / file).read_bytes()
+
+
+@pytest.mark.slow
+def test_a_study_that_is_done_is_compared_with_another_rig(finished: Path, tmp_path: Path) -> None:
+    """Its camera stands farther off; what was drawn for the first rig is not drawn again."""
+    shutil.copytree(finished / "out", tmp_path / "out")
+    arguments = ["study", str(finished / "small.toml"), "-o", str(tmp_path / "out"), "--resume"]
+    other = ["--against", "head.camera_mm.1=-900", "--processes", "none"]
+    found = CliRunner().invoke(app, [*arguments, *other])
+    assert found.exit_code == 0, found.output
+    text = (tmp_path / "out" / "against.txt").read_text(encoding="utf-8")
+    assert (
+        text.startswith("The other rig: head.camera_mm.1 -866.025 to -900.")
+        and text in found.output
+    )
+    compared = load_results(tmp_path / "out").against
+    assert compared and compared.rigs == 32 and compared.failed == (0, 0)
+    beside = load_results(tmp_path / "out" / compared.folder)
+    assert beside.runs == load_results(finished / "out").runs
+    height = compared.outputs[0]
+    assert height.narrower and height.narrower > 1 and height.parts[0].part != "power"
 
 
 @pytest.mark.slow
@@ -239,6 +270,11 @@ def test_two_scenes_of_two_rigs_are_refused(tmp_path: Path) -> None:
         (["nothing.toml"], "nothing.toml: cannot be read: there is no such file, and no study"),
         (["paper-budget", "--at-most", "10"], "--at-most: too many runs ("),
         (["paper-budget", "--workers", "0"], "--workers: out of range (got 0; "),
+        (["seasons", "--against", "lens.f_number"], "--against: no number (got 'lens.f_number';"),
+        (["seasons", "--against", "lens.f_number=8mm"], "--against: no number (got 'lens.f_nu"),
+        (["seasons", *2 * ["--against", "lens.k1=0"]], "--against: is given twice (got 'lens.k1'"),
+        (["seasons", "--against", "lens.focal=9"], "board.toml: is the key of no number that can"),
+        (["seasons", "--against", "lens.f_number=nan"], "--against: lens.f_number: must be a num"),
     ],
 )
 def test_a_wrong_argument_is_refused(

@@ -23,10 +23,11 @@ def test_results_come_back_as_they_were_and_the_same_bytes_again(tmp_path: Path)
     write_results(tmp_path / "one", results, runs)
     assert load_results(tmp_path / "one") == results
     write_results(tmp_path / "two", load_results(tmp_path / "one"), runs)
-    for name in ("results.json", "runs.nc", "report.html"):
+    for name in ("results.json", "runs.nc", "report.html", "against.txt"):
         first, second = ((tmp_path / n / name).read_bytes() for n in ("one", "two"))
         assert first == second, name
     assert sorted(path.name for path in (tmp_path / "one").iterdir()) == [
+        "against.txt",
         "report.html",
         "results.json",
         "runs.nc",

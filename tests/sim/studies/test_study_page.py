@@ -12,7 +12,16 @@ from playwright.sync_api import Page
 from study_examples import GROUPS, REASONS, strange_results, study_results
 
 from sim.studies.budget import CauseBudget, OutputBudget, StudyResults
-from sim.studies.page import figure, front_plot, headline, render_page, share, tolerance_sentence
+from sim.studies.page import (
+    comparison_text,
+    comparison_words,
+    figure,
+    front_plot,
+    headline,
+    render_page,
+    share,
+    tolerance_sentence,
+)
 from sim.studies.problem import Bounded
 from tests.validation.browser import wait_for
 
@@ -78,6 +87,21 @@ def test_the_page_holds_every_cause_and_figure() -> None:
                 assert f"{figure(cause.alone_rms.value)}{_interval(cause.alone_rms)}" in page.cells
                 assert any(cell.startswith(share(cause.total.value)) for cell in page.cells)
     assert "5 % of the runs failed." in page.text
+
+
+def test_the_page_and_the_text_say_which_of_two_rigs_is_better() -> None:
+    results, _ = study_results()
+    assert results.against
+    page, text = ParsedPage(render_page(results)), comparison_text(results.against)
+    for words in comparison_words(results.against):
+        assert words in page.text and words in text
+    assert "optics.gap_mm = 16, 3" in text and "3 of this one and 0 of the other" in text
+    for one in results.against.outputs:
+        assert one.verdict in page.cells and f"{one.name}: {one.verdict}." in text
+    assert "−0.5−0.6 to −0.4" in page.cells and "4.2" in page.cells
+    rows = [line.split("   ") for line in text.splitlines()]
+    (tilt,) = ([cell for cell in row if cell] for row in rows if row[0].startswith("tilt"))
+    assert [cell.strip() for cell in tilt] == ["tilt", "1.1 ± 0.1", "0.6 ± 0.1", "−0.5 ± 0.1"]
 
 
 def test_names_are_shown_as_they_are_and_do_nothing() -> None:

@@ -7,6 +7,7 @@ from lscan.config.rig import load_rig
 from sim.studies.studyfile import Looked
 from tests.validation.rows import Chapters, Request
 from tests.validation.studies import coverage, crosscheck, running
+from tests.validation.studies.comparison import comparison_rows
 from tests.validation.studies.designs import design_rows, tolerance_rows
 from tests.validation.studies.propagation import propagation_rows
 from tests.validation.studies.tiers import tier_rows
@@ -37,6 +38,7 @@ def _full(scenes: Path, folder: Path) -> Chapters:
         "speed of a budget": lambda: speed_rows(400),
         "running studies": lambda: running.running_rows(kills=20, tasks=320),
         "coverage of intervals": coverage.coverage_rows,
+        "two rigs on the same draws": comparison_rows,
         "law of propagation": propagation_rows,
         "cross-check": lambda: crosscheck.cross_check_rows(scenes, Looked()),
         "recalibration": lambda: crosscheck.recalibration_rows(scenes, Looked()),
@@ -62,5 +64,6 @@ def _quick() -> Chapters:
             *running.overhead_rows(tasks=4, workers=1), *running.kill_rows(1),
         ],
         "coverage of intervals": lambda: coverage.coverage_rows(base=32, repeats=2),
+        "two rigs on the same draws": lambda: comparison_rows(base=32, repeats=1),
         "law of propagation": lambda: propagation_rows(16, "graticule-2"),
     }  # fmt: skip
