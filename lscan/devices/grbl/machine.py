@@ -1,4 +1,4 @@
-"""A controller on a serial line, whatever its language: options, lines, what all can do."""
+"""A controller on a line, whatever its language: options, lines, what all can do."""
 
 import contextlib
 import math
@@ -7,10 +7,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Final, Generic, Literal, Protocol, TypeVar
+from urllib.parse import urlsplit
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from lscan.devices.api import TravelOptions
+from lscan.devices.api import ConnectionLost, TravelOptions
 from lscan.errors import DeviceError
 
 # ``[track.options]`` of the serial track, checked before any device is touched.
@@ -20,11 +21,24 @@ ROUNDING_MM: Final = 0.0005
 """Half of the last of three decimals, with which coordinates go over the line."""
 
 
+Port = Annotated[
+    str,
+    Field(
+        pattern=r"^(([^:]|:+[^:/])+|(socket|rfc2217)://([^\[\]\s:/?#@]+|\[[0-9a-fA-F:.]+\]):[0-9]+)$",
+        description="a serial port, such as /dev/ttyUSB0 or COM3; or socket://HOST:PORT or "
+        "rfc2217://HOST:PORT",
+    ),
+]
+"""No other URL that pyserial knows: a rig file may be a stranger's, and ``alt://`` loads any
+class, ``spy://`` writes files (pyserial 3.5, "URL Handlers")."""
+
+
 class SerialTrackOptions(TravelOptions):
     """The track's port, its frame and how it moves.
 
-    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``.  dtr: whether its lines DTR and RTS
-    are raised while it is open, which holds some boards in reset.  min_mm, max_mm: positions the
+    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``; or, over a network, raw TCP as
+    ``socket://HOST:PORT``, a serial port by RFC 2217 as ``rfc2217://HOST:PORT``.  dtr: whether its
+    lines DTR and RTS are raised while it is open, which holds some boards in reset.  min_mm, max_mm: positions the
     head may be sent to; the approach needs ``approach_mm`` of free way below min_mm.
     zero_mm: the machine coordinate where the position is 0; invert: positions grow where
     machine coordinates fall.  approach_mm: every position is reached upwards, over at least
@@ -32,12 +46,13 @@ class SerialTrackOptions(TravelOptions):
     tolerance_mm: how far from its target the head may report to have stopped.
     settle_s: rest before a picture.  homing: search the switches on opening; without it the
     machine's zero is where the head stood when the controller started, and any restart moves it.
-    boot_s, answer_s, homing_s: how long a start, an answer, a homing may take.  write_s: how
+    reconnects: how often a scan tries to reach a controller again whose connection broke, each
+    time after reconnect_wait_s.  boot_s, answer_s, homing_s: how long a start, an answer, a homing may take.  write_s: how
     long the port may take to accept a line; longer where a busy computer or an adapter holds it up.
     laser_power: S word of M3.
     """
 
-    port: Annotated[str, Field(min_length=1)]
+    port: Port
     baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115_200
     dtr: bool = True
     dialect: Literal["grbl", "marlin"] = "grbl"
@@ -55,7 +70,16 @@ class SerialTrackOptions(TravelOptions):
     answer_s: Annotated[float, Field(gt=0, le=60)] = 2.0
     homing_s: Annotated[float, Field(gt=0, le=600)] = 60.0
     write_s: Annotated[float, Field(gt=0, le=60)] = 5.0
+    reconnects: Annotated[int, Field(ge=0, le=100)] = 5
+    reconnect_wait_s: Annotated[float, Field(ge=0, le=600)] = 1.0
     laser_power: Annotated[float, Field(ge=0, le=100_000)] = 1000.0
+
+    @field_validator("port")
+    @classmethod
+    def _numbered(cls, port: str) -> str:
+        if "://" in port and not urlsplit(port).port:  # ValueError above 65535
+            raise ValueError("its number must be 1 to 65535")
+        return port
 
     def machine_mm(self, position_mm: float) -> float:
         """Machine coordinate, mm.
@@ -77,7 +101,7 @@ class SerialTrackOptions(TravelOptions):
         return -offset_mm if self.invert else offset_mm
 
 
-# Lines over a serial port: sent whole, read until a deadline, noise skipped and counted.
+# Lines over a port or a network: sent whole, read until a deadline, noise skipped and counted.
 
 
 LONGEST_LINE: Final = 70  # Grbl 1.1's own limit is 80 with the line end, Marlin's 96
@@ -102,33 +126,40 @@ class Transport(Protocol):
 
 
 def open_serial(port: str, baud: int, name: str, write_s: float, dtr: bool = True) -> Transport:
-    """The serial port, opened for this program alone; DeviceError where it cannot be.
+    """The serial port, opened for this program alone, or the connection that its URL names.
 
-    write_s: how long it may take to accept what is sent.  dtr: whether its lines DTR and RTS are
-    raised while it is open.
+    ConnectionLost where it cannot be.  write_s: how long it may take to accept what is sent; of
+    RFC 2217, pyserial's own 5 s.  dtr: whether its lines DTR and RTS are raised while it is open.
     """
     try:
         import serial
     except ImportError:
         raise DeviceError(f"{name}: needs the package pyserial; install it") from None
+    waits = {"timeout": 0.01, "write_timeout": None if port.startswith("rfc2217:") else write_s}
     try:
-        line = serial.Serial(None, baud, timeout=0.01, write_timeout=write_s, exclusive=True)
-        line.port, line.dtr, line.rts = port, dtr, dtr  # before it opens: that would raise both
+        line = serial.serial_for_url(port, baud, exclusive=True, do_not_open=True, **waits)
+        line.dtr = line.rts = dtr  # before it opens: that would raise both
         line.open()
         return line
     except (OSError, ValueError) as error:
-        raise DeviceError(
+        if "://" in port:
+            raise ConnectionLost(
+                f"{name}: cannot be reached: {error.__context__ or error}; check the address, the "
+                "network, the controller's power, and that no other program holds the connection"
+            ) from error
+        raise ConnectionLost(
             f"{name}: {port!r} cannot be opened at {baud} baud: {error}; check the cable, the "
             "port's name, that no other program holds it, and that you may use it (group dialout)"
         ) from error
 
 
 class Link:
-    """A serial line on which whole lines are exchanged.
+    """A connection on which whole lines are exchanged.
 
     name: how messages call the device.  write_s: how long the transport waits until what is sent
     is accepted.  noise_bytes: bytes skipped so far because they were
-    part of no readable line.  clock, sleep: the time, for a line in simulated time.
+    part of no readable line.  clock, sleep: the time, for a line in simulated time.  connect: gives
+    another transport in place of one that broke.
     """
 
     def __init__(
@@ -138,8 +169,9 @@ class Link:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         write_s: float = math.inf,
+        connect: Callable[[], Transport] | None = None,
     ) -> None:
-        self._write_s = write_s
+        self._write_s, self._connect = write_s, connect
         self.name, self.clock, self.sleep = name, clock, sleep
         self.noise_bytes = 0
         self._transport = transport
@@ -191,6 +223,18 @@ class Link:
         with contextlib.suppress(OSError):
             self._transport.close()
 
+    @property
+    def can_reopen(self) -> bool:
+        """Whether there is a way to another transport."""
+        return self._connect is not None
+
+    def reopen(self) -> None:
+        """Connect anew; ConnectionLost where that fails.  What had come in part is forgotten."""
+        assert self._connect is not None
+        self.close()
+        self._received.clear()
+        self._transport = self._connect()
+
     def _readable(self, raw: bytes) -> str | None:
         """The line, freed of noise before it; None where it is empty or has noise within."""
         stripped = raw.strip(b"\r\t ")
@@ -211,9 +255,9 @@ class Link:
                 "the controller hangs, or the computer was held up: switch the controller off and "
                 "on, or raise track.options.write_s, then open the track again"
             )
-        return DeviceError(
-            f"{self.name}: the serial line broke ({error}); check the cable and the controller's "
-            "power, then open the track again"
+        return ConnectionLost(
+            f"{self.name}: the connection broke ({error}); check the cable or the network, and the "
+            "controller's power, then open the track again"
         )
 
 
