@@ -21,13 +21,19 @@ from lscan.config.userfiles import (
     user_file,
 )
 from lscan.devices.grbl import SerialTrackOptions
+from lscan.devices.klipper import KlipperOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
 from lscan.files.disk import json_text, write_atomically
 
 OPTIONS: Options = {
     "camera": {"opencv": OpencvOptions, "replay": ReplayOptions},
-    "track": {"grbl": SerialTrackOptions, "manual": ManualOptions, "replay": ReplayOptions},
+    "track": {
+        "grbl": SerialTrackOptions,
+        "klipper": KlipperOptions,
+        "manual": ManualOptions,
+        "replay": ReplayOptions,
+    },
 }
 
 

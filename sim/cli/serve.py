@@ -33,6 +33,7 @@ def serve(
     places: int = Option(64, help="Number of renderings kept, 5 MB each."),
     dialect: str = Option("grbl", help="Dialect of the controller: grbl or marlin."),
     link: Path | None = Option(None, help="Permanent name (a link) for the serial port."),
+    tcp: bool = Option(False, "--tcp", help="Serve the controller over TCP, not a serial port."),
     write_rig: Path | None = Option(
         None, help="Rig file to write for lscan; for several scenes, a folder."
     ),
@@ -45,8 +46,10 @@ def serve(
     given = {
         "http_port": http_port, "fps": fps, "quality": quality, "subsampling": subsampling,
         "places": places, "switched_laser": switched_laser, "prepare": prepare,
-        "dialect": dialect, "link": link,
+        "dialect": dialect, "link": link, "tcp": tcp,
     }  # fmt: skip
+    if tcp and link is not None:
+        raise InputError("is of a serial port", where="--link", allowed="without --tcp")
     options = check(ServeOptions, given, where=None, prefix="--")
     of_one = {"--http-port": http_port, "--link": link, "--fault": fault}
     if len(scenes) > 1 and (given_one := [name for name, value in of_one.items() if value]):

@@ -1,4 +1,4 @@
-"""A linear track behind a Grbl or Marlin controller."""
+"""A linear track behind a controller that speaks Grbl, Marlin or Klipper."""
 
 import contextlib
 import logging
@@ -6,9 +6,7 @@ import math
 from collections.abc import Iterator
 
 from lscan.devices.api import LASER_MAY_BE_LIT, ConnectionLost, Fact, require_reachable
-from lscan.devices.grbl.controller import GrblMachine
-from lscan.devices.grbl.machine import ROUNDING_MM, Link, SerialTrackOptions
-from lscan.devices.grbl.marlin import MarlinMachine
+from lscan.devices.grbl.machine import ROUNDING_MM, AxisMachine, AxisOptions, Connection
 from lscan.errors import DeviceError
 
 _CLOSED = "is closed"
@@ -23,16 +21,14 @@ class SerialTrack:
     a stalled motor loses are not known to the controller and can be seen only by homing.
     """
 
-    def __init__(
-        self, machine: GrblMachine | MarlinMachine, options: SerialTrackOptions, link: Link
-    ) -> None:
+    def __init__(self, machine: AxisMachine, options: AxisOptions, link: Connection) -> None:
         """Wake the machine and home it where the options say so.
 
         Parameters
         ----------
-        machine : GrblMachine or MarlinMachine, speaks the controller's dialect
-        options : SerialTrackOptions, port, travel and motion
-        link : Link, the line to the controller
+        machine : AxisMachine, speaks the controller's language
+        options : AxisOptions, travel and motion
+        link : Connection, to the controller
 
         Raises
         ------
@@ -172,7 +168,7 @@ class SerialTrack:
         start_mm = self._options.position_mm(0.0)
         why = (
             "Marlin does not report whether it restarted in between"
-            if self._options.dialect == "marlin"
+            if not self._machine.notices_restart
             else "the controller was restarted, reset or in alarm in between, or used otherwise"
         )
         return (
@@ -216,7 +212,7 @@ class SerialTrack:
         if self._lit:
             self._machine.laser(0.0)
             self._lit = False
-        if self._options.dialect == "marlin":
+        if not self._machine.notices_restart:
             raise DeviceError(
                 f"{self._name}: the connection broke, and Marlin does not report whether it "
                 "restarted meanwhile; open the track again"
@@ -311,7 +307,7 @@ class SerialTrack:
                     f"{self._name}: track.options ask for {lowest_mm:g} to {options.max_mm:g} mm "
                     f"(approach_mm below min_mm included), the controller's soft limits allow "
                     f"{low_mm:g} to {high_mm:g} mm; change min_mm, max_mm, approach_mm, zero_mm "
-                    "or invert, or the travel $130 to $132"
+                    "or invert, or the travel (Grbl: $130 to $132)"
                 )
 
     def _travel_ends_mm(self) -> list[float]:
@@ -325,7 +321,7 @@ class SerialTrack:
             raise DeviceError(
                 f"{self._name}: track.options.feed_mm_min is {feed_mm_min:g}, the axis's fastest "
                 f"in the controller is {max_mm_min:g} mm/min; lower it, or raise the controller's "
-                "($110 to $112) where the motor can do it"
+                "(Grbl: $110 to $112) where the motor can do it"
             )
 
     def _ready(self) -> None:

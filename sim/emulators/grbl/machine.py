@@ -231,9 +231,10 @@ class TcpPort:
         ...  # connect to line.port, socket://127.0.0.1:NUMBER; line.drop() ends a connection
     """
 
-    def __init__(self, controller: EmulatedController) -> None:
+    def __init__(self, controller: EmulatedController, number: int = 0) -> None:
+        """Listen.  number: of the port, 0 for any that is free."""
         self._controller = controller
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener = socket.create_server(("127.0.0.1", number))
         self.port = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
         self._client: socket.socket | None = None
         self._ended = threading.Event()
