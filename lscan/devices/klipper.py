@@ -12,7 +12,7 @@ v0.13.0.
 
 import logging
 import math
-import os
+import netrc
 import time
 from collections.abc import Callable
 from http.client import HTTPConnection, HTTPException, HTTPSConnection
@@ -37,9 +37,8 @@ MOST_BYTES: Final = 4 * 2**20
 class KlipperOptions(AxisOptions):
     """Where Moonraker is, and the laser's pin, besides what is said of the axis.
 
-    url: Moonraker's address.  api_key_variable: the environment variable that holds the API key,
-    where Moonraker asks for one; the key itself would be kept in every run folder.  laser_pin: NAME
-    of the ``[output_pin NAME]`` that switches the laser; laser_power: VALUE of its SET_PIN.
+    url: Moonraker's address.  laser_pin: NAME of the ``[output_pin NAME]`` that switches the laser;
+    laser_power: VALUE of its SET_PIN.
     """
 
     url: Annotated[
@@ -50,7 +49,6 @@ class KlipperOptions(AxisOptions):
             description="Moonraker's address, such as http://HOST:7125",
         ),
     ]
-    api_key_variable: Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")] | None = None
     laser_pin: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]+$")] | None = None
     laser_power: Annotated[float, Field(gt=0, le=1000)] = 1.0
 
@@ -67,13 +65,7 @@ class Moonraker:
         self.name, self.sleep = f"klipper track on {options.url}", sleep
         self._where, self._answer_s = urlsplit(options.url), options.answer_s
         self._headers = {"Content-Type": "application/json", "Connection": "close"}
-        if (variable := options.api_key_variable) is not None:
-            key = os.environ.get(variable, "").strip()
-            if not (key and key.isascii() and key.isprintable()):
-                raise DeviceError(
-                    f"{self.name}: the environment variable {variable!r}, which "
-                    "track.options.api_key_variable names, holds no key"
-                )
+        if (key := self._key()) is not None:
             self._headers["X-Api-Key"] = key
 
     def ask(self, path: str, body: Any = None, within_s: float | None = None) -> Any:
@@ -104,7 +96,7 @@ class Moonraker:
                     f"{within_s or self._answer_s:g} s; check for a jam, the feed rate, the "
                     "network and the machine's power, then open the track again"
                 ) from None
-        except (OSError, HTTPException) as error:
+        except (OSError, HTTPException, ValueError) as error:
             raise ConnectionLost(
                 f"{self.name}: cannot be reached: {str(error) or type(error).__name__}; check the "
                 "address, the network, and that Moonraker runs"
@@ -120,6 +112,21 @@ class Moonraker:
     def close(self) -> None:
         """Nothing is held open."""
 
+    def _key(self) -> str | None:
+        """The API key that ~/.netrc has for this host alone, None where it has none.
+
+        It stands in no rig file: that is kept in every run folder, and may be a stranger's.
+        """
+        try:
+            entry = netrc.netrc().hosts.get(str(self._where.hostname))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, netrc.NetrcParseError) as error:
+            raise DeviceError(
+                f"{self.name}: ~/.netrc cannot be read: {_line(str(error))}"
+            ) from error
+        return entry[2] if entry is not None and entry[2] else None
+
     def _result(self, status: int, data: bytes, path: str) -> Any:
         try:
             if len(data) > MOST_BYTES:
@@ -130,9 +137,10 @@ class Moonraker:
             reason = str(said["error"]["message"])
         except (InputError, KeyError, TypeError):
             reason = "no answer of Moonraker's; check the address"
-        if status == 401:
-            reason += "; it wants an API key: track.options.api_key_variable"
-        raise DeviceError(f"{self.name}: {path} answers {status}: {_line(reason)}")
+        hint = f"; put its API key into ~/.netrc: machine {self._where.hostname} password KEY"
+        raise DeviceError(
+            f"{self.name}: {path} answers {status}: {_line(reason)}{hint if status == 401 else ''}"
+        )
 
 
 class KlipperMachine:
@@ -292,7 +300,7 @@ class KlipperTrackDriver(TravelDriver[KlipperOptions]):
     model, slack_mm = KlipperOptions, ROUNDING_MM
     switches_laser = True
     connection_options = frozenset(
-        {"url", "api_key_variable", "answer_s", "homing_s", "reconnects", "reconnect_wait_s"}
+        {"url", "answer_s", "homing_s", "reconnects", "reconnect_wait_s"}
     )
 
     def options(self, rig_file: RigFile) -> KlipperOptions:

@@ -47,12 +47,12 @@ class KlipperEmulator:
     ----------
     head_mm : list of float, where the head truly is, mm from the ends at which it homes
     pin : float, value of the output pin
-    silent : bool, nothing is answered any more
+    lose_answers : int, of how many of the next requests, which are carried out, none arrives
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic, pace: float = 1.0) -> None:
         self._clock, self._pace = clock, pace
-        self.travel_mm, self.silent, self.pin = (-10.0, 200.0), False, 0.0
+        self.travel_mm, self.lose_answers, self.pin = (-10.0, 200.0), 0, 0.0
         self.settings: dict[str, Any] = {"output_pin laser": {"value": 0.0, "shutdown_value": 0.0}}
         self._gcode = threading.Lock()  # one script after the other
         self._sent_mm, self._offset_mm = [0.0] * 3, [50.0, 60.0, 70.0]  # from coordinates to truth
@@ -253,8 +253,8 @@ class EmulatedMoonraker:
                 except KlipperError as error:
                     status = error.status
                     content = {"error": {"code": status, "message": str(error)}}
-                if printer.silent:
-                    self.close_connection = True
+                if printer.lose_answers > 0:
+                    printer.lose_answers -= 1
                     return
                 text = json.dumps(content).encode()
                 self.send_response(status)

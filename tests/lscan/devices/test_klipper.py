@@ -3,7 +3,6 @@
 import json
 import logging
 import socket
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -241,14 +240,8 @@ def test_a_plan_that_switches_a_laser_needs_its_pin(desk: Desk) -> None:
 def test_a_broken_connection_loses_and_repeats_no_frame(
     desk: Desk, pictures: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Moonraker closes three connections without an answer, and is there again."""
-
-    def break_off() -> None:
-        desk.printer.silent = True
-        threading.Timer(0.05, setattr, (desk.printer, "silent", False)).start()
-
-    desk.values = {"reconnects": 100, "reconnect_wait_s": 0.005}
-    desk.at_grab = {pictures: break_off}
+    """Three requests are carried out whose answers are lost."""
+    desk.at_grab = {pictures: lambda: setattr(desk.printer, "lose_answers", 3)}
     with caplog.at_level(logging.WARNING):
         run = desk.scan(tmp_path / "a")
     run.verify()
@@ -266,21 +259,30 @@ def test_what_cannot_be_reached_is_one_line() -> None:
         open_track(KlipperOptions(url=url, min_mm=0, max_mm=9))
 
 
-def test_an_api_key_comes_from_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A key in the rig file would be kept in every run folder."""
+def test_an_api_key_is_looked_up_for_its_host_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the user's own file: a rig file is kept in every run folder, and may be a stranger's."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    keys = tmp_path / ".netrc"
     with EmulatedMoonraker(KlipperEmulator(), api_key="a-key") as moonraker:
-        values = {"url": moonraker.url, "min_mm": 0, "max_mm": 9, "feed_mm_min": 60_000}
-        with pytest.raises(DeviceError, match=r"answers 401: .*api_key_variable"):
-            open_track(KlipperOptions(**values))
-        with pytest.raises(DeviceError, match=r"'TEST_KEY'.*holds no key"):
-            open_track(KlipperOptions(**values, api_key_variable="TEST_KEY"))
-        monkeypatch.setenv("TEST_KEY", "a-key")
-        open_track(KlipperOptions(**values, api_key_variable="TEST_KEY")).close()
+        options = KlipperOptions(url=moonraker.url, min_mm=0, max_mm=9, feed_mm_min=60_000)
+        for others in ("", "machine other.host password a-key\n", "default password a-key\n"):
+            keys.write_text(others)
+            keys.chmod(0o600)
+            with pytest.raises(DeviceError, match=r"answers 401: .*machine 127\.0\.0\.1 password"):
+                open_track(options)
+        keys.write_text("machine 127.0.0.1 password a-key\n")
+        open_track(options).close()
+        keys.write_text("machine\n")
+        with pytest.raises(DeviceError, match=r"~/\.netrc cannot be read"):
+            open_track(options)
 
 
 @pytest.mark.parametrize(
     "said",
     [b"no JSON", b"[1, 2]", b"null", b'{"result": {"klippy_state": "ready"}}', b"9" * 5_000_000],
+    ids=["text", "list", "null", "of another", "too long"],
 )
 def test_what_is_no_moonraker_is_one_line(said: bytes) -> None:
     class Other(BaseHTTPRequestHandler):

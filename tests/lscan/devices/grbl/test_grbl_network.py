@@ -21,7 +21,7 @@ from lscan.acquisition.run import MANIFEST, Manifest, open_run
 from lscan.config.rig import parse_rig
 from lscan.devices.api import LASER_MAY_BE_LIT, ConnectionLost, Track
 from lscan.devices.grbl import SerialTrackOptions, open_track, track_driver
-from lscan.devices.grbl.machine import open_serial
+from lscan.devices.grbl.machine import Link, open_serial
 from lscan.errors import DeviceError, InputError
 from sim.emulators.grbl import GRBL, Faults, GrblEmulator, MarlinEmulator, PseudoTerminal, TcpPort
 
@@ -148,6 +148,21 @@ def test_a_connection_that_is_closed_at_once_is_one_line(bench: NetworkBench) ->
             open_track(options)
 
 
+def test_a_line_that_comes_late_and_in_pieces_is_read_whole() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        link = Link(open_serial(port, 115_200, "here", write_s=5.0), "here")
+        with server.accept()[0] as peer:
+            peer.sendall(b"o")
+            assert link.line(link.clock() + 0.05) is None
+            peer.sendall(b"k\r\nerr")
+            assert link.line(link.clock() + 60) == "ok"
+            peer.sendall(b"or:9\n")
+            assert link.line(link.clock() + 60) == "error:9"
+            assert link.noise_bytes == 0
+        link.close()
+
+
 def test_a_peer_that_takes_nothing_is_distinguished_from_one_that_is_gone() -> None:
     with socket.create_server(("127.0.0.1", 0)) as deaf:
         port = f"socket://127.0.0.1:{deaf.getsockname()[1]}"
@@ -167,17 +182,16 @@ class RemoteDevice(serial.Serial):
     def _update_rts_state(self) -> None: ...
 
 
-@pytest.mark.parametrize("dtr", [True, False])
-def test_a_serial_port_by_rfc_2217_is_scanned_with(dtr: bool, tmp_path: Path) -> None:
+def test_a_serial_port_by_rfc_2217_is_scanned_with(tmp_path: Path) -> None:
     """The other side is pyserial's own, before the emulator's pseudo-terminal."""
     grbl = controller()
     with PseudoTerminal(grbl) as terminal, socket.create_server(("127.0.0.1", 0)) as server:
         device = RemoteDevice(terminal.port, timeout=0.002)
         threading.Thread(target=serve_rfc2217, args=(server, device), daemon=True).start()
         terminal.port = f"rfc2217://127.0.0.1:{server.getsockname()[1]}"
-        bench = NetworkBench(grbl, terminal, FRAMES, dtr=dtr)
+        bench = NetworkBench(grbl, terminal, FRAMES, dtr=False)
         bench.require_true(bench.scan(tmp_path / "a"))
-    assert (device.dtr, device.rts, device.baudrate) == (dtr, dtr, 115_200)
+    assert (device.dtr, device.rts, device.baudrate) == (False, False, 115_200)
 
 
 def serve_rfc2217(server: socket.socket, device: RemoteDevice) -> None:
@@ -299,6 +313,22 @@ def test_no_frame_is_lost_or_repeated_where_the_connection_comes_back(
     assert not may_be_lit(tmp_path / "a")
 
 
+def test_a_cable_that_is_put_back_loses_and_repeats_no_frame(tmp_path: Path) -> None:
+    """Its name stays, as in /dev/serial/by-id; the controller has its own supply."""
+    grbl, name = controller(), tmp_path / "port"
+    with PseudoTerminal(grbl) as before, PseudoTerminal(grbl) as after:
+        name.symlink_to(before.port)
+
+        def put_back() -> None:
+            before.close()
+            name.unlink()
+            name.symlink_to(after.port)
+
+        bench = NetworkBench(grbl, SimpleNamespace(port=str(name)), FRAMES)
+        bench.before_grab = {5: put_back}
+        bench.require_true(bench.scan(tmp_path / "a"))
+
+
 def test_what_was_on_its_way_is_stopped_and_judged_by_where_it_stands(
     bench: NetworkBench,
 ) -> None:
@@ -309,6 +339,7 @@ def test_what_was_on_its_way_is_stopped_and_judged_by_where_it_stands(
     track = bench.open()
     track.move_to(2.0)
     zero = track.zero
+    track.laser_on()
     bench.asleep = lambda: None if bench.controller.standing_mm else line.drop()
     with pytest.raises(ConnectionLost, match="the connection broke"):
         track.move_to(0.0)
@@ -319,6 +350,7 @@ def test_what_was_on_its_way_is_stopped_and_judged_by_where_it_stands(
     stands_mm = track.position_mm
     assert bench.controller.standing_mm is not None
     assert -1.0 < stands_mm < 2.0
+    assert bench.controller.laser_power == 0
     assert bench.controller.head_mm[0] + 50.0 == pytest.approx(stands_mm, abs=0.004)
     assert track.zero == zero
     assert track.move_to(0.0) == pytest.approx(0.0, abs=0.004)
