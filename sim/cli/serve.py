@@ -48,8 +48,6 @@ def serve(
         "places": places, "switched_laser": switched_laser, "prepare": prepare,
         "dialect": dialect, "link": link, "tcp": tcp,
     }  # fmt: skip
-    if tcp and link is not None:
-        raise InputError("is of a serial port", where="--link", allowed="without --tcp")
     options = check(ServeOptions, given, where=None, prefix="--")
     of_one = {"--http-port": http_port, "--link": link, "--fault": fault}
     if len(scenes) > 1 and (given_one := [name for name, value in of_one.items() if value]):

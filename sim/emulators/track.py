@@ -72,6 +72,9 @@ class EmulatedTrack:
         self.dialect, self._link, self._tcp = dialect, link, tcp
         self._address = ""
         if link is not None:
+            if tcp:
+                allowed = "a serial port, without --tcp"
+                raise InputError("names no TCP port", where="--link", allowed=allowed)
             if link.is_symlink() and not link.exists():
                 link.unlink()  # left by one that was killed
             if link.exists():

@@ -146,6 +146,7 @@ def open_serial(port: str, baud: int, name: str, write_s: float, dtr: bool = Tru
         import serial
     except ImportError:
         raise DeviceError(f"{name}: needs the package pyserial; install it") from None
+    # pyserial 3.5 opens no RFC 2217 port with a write timeout: NotImplementedError.
     accepts_s = None if port.startswith("rfc2217:") else write_s
     try:
         line = serial.serial_for_url(
