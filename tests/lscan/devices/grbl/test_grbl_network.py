@@ -183,29 +183,33 @@ class RemoteDevice(serial.Serial):
 
 
 def test_a_serial_port_by_rfc_2217_is_scanned_with(tmp_path: Path) -> None:
-    """The other side is pyserial's own, before the emulator's pseudo-terminal."""
-    grbl = controller()
+    """The other side is pyserial's own, before the emulator's pseudo-terminal; it hangs up once."""
+    grbl, served = controller(), list[socket.socket]()
     with PseudoTerminal(grbl) as terminal, socket.create_server(("127.0.0.1", 0)) as server:
         device = RemoteDevice(terminal.port, timeout=0.002)
-        threading.Thread(target=serve_rfc2217, args=(server, device), daemon=True).start()
+        threading.Thread(target=serve_rfc2217, args=(server, device, served), daemon=True).start()
         terminal.port = f"rfc2217://127.0.0.1:{server.getsockname()[1]}"
         bench = NetworkBench(grbl, terminal, FRAMES, dtr=False)
+        bench.before_grab = {5: lambda: served[0].shutdown(socket.SHUT_RDWR)}
         bench.require_true(bench.scan(tmp_path / "a"))
     assert (device.dtr, device.rts, device.baudrate) == (False, False, 115_200)
+    assert len(served) == 2
 
 
-def serve_rfc2217(server: socket.socket, device: RemoteDevice) -> None:
-    """One connection: what comes and goes is filtered and escaped by pyserial's PortManager."""
-    with server.accept()[0] as client, device:
-        manager = PortManager(device, SimpleNamespace(write=client.sendall))
-        client.settimeout(0.002)
-        while True:
-            with suppress(TimeoutError):
-                if not (came := client.recv(1024)):
-                    return
-                device.write(b"".join(manager.filter(came)))
-            if data := device.read(device.in_waiting or 1):
-                client.sendall(b"".join(manager.escape(data)))
+def serve_rfc2217(server: socket.socket, device: RemoteDevice, served: list[socket.socket]) -> None:
+    """Two connections: what comes and goes is filtered and escaped by pyserial's PortManager."""
+    while len(served) < 2:
+        served.append(server.accept()[0])
+        with suppress(OSError), served[-1] as client:
+            manager = PortManager(device, SimpleNamespace(write=client.sendall))
+            client.settimeout(0.002)
+            while True:
+                with suppress(TimeoutError):
+                    if not (came := client.recv(1024)):
+                        break
+                    device.write(b"".join(manager.filter(came)))
+                if data := device.read(device.in_waiting or 1):
+                    client.sendall(b"".join(manager.escape(data)))
 
 
 # ---- scans ------------------------------------------------------------------------------
