@@ -23,9 +23,11 @@ from lscan.config.rig import CameraSection, RigFile, drivers_of
 from lscan.devices.api import (
     LASER_MAY_BE_LIT,
     Camera,
+    ConnectionLost,
     Grab,
     LaserSwitch,
     PlaceChecking,
+    Reconnecting,
     Track,
     longest_grab_s,
 )
@@ -36,6 +38,8 @@ from lscan.records import Frame, Picture, Progress
 GoOn = Callable[[], bool]
 LIT_ATTEMPTS = 2
 """How often a picture is taken whose laser went off because it was overdue."""
+FRAME_ATTEMPTS = 3
+"""How often a frame is taken in which the connection to the track breaks and comes back."""
 
 _log = logging.getLogger(__name__)
 
@@ -358,7 +362,27 @@ class _ScanDevices:
     last_time_s: float = -math.inf
 
     def take(self, index: int, commanded_mm: float) -> Frame:
-        """The frame taken there, checked; DeviceError where a run cannot hold it."""
+        """The frame taken there, checked; DeviceError where a run cannot hold it.
+
+        Where the connection to the track breaks meanwhile, and the track is reached again with
+        its zero kept, all of the frame is taken anew.
+        """
+        last_time_s = self.last_time_s
+        for _ in range(FRAME_ATTEMPTS - 1):
+            try:
+                return self._take_once(index, commanded_mm)
+            except ConnectionLost as lost:
+                if not isinstance(self.track, Reconnecting):
+                    raise
+                lit = f"; meanwhile {LASER_MAY_BE_LIT}" if self.laser and self.laser.lit else ""
+                _log.warning("%s; frame %d is taken anew once it is reached%s", lost, index, lit)
+                self.track.reconnect()
+                if self.laser is not None:
+                    self.laser.lit = False
+                self.last_time_s = last_time_s
+        return self._take_once(index, commanded_mm)
+
+    def _take_once(self, index: int, commanded_mm: float) -> Frame:
         position_mm = self.track.move_to(commanded_mm)
         grab = self.camera.grab(index) if self.laser is None else self._grab_lit(index, self.laser)
         lit = self._check_grab(grab, index)

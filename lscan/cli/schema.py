@@ -22,13 +22,19 @@ from lscan.config.userfiles import (
 )
 from lscan.devices.genicam import GenicamOptions
 from lscan.devices.grbl import SerialTrackOptions
+from lscan.devices.klipper import KlipperOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera.options import OpencvOptions
 from lscan.files.disk import json_text, write_atomically
 
 OPTIONS: Options = {
     "camera": {"genicam": GenicamOptions, "opencv": OpencvOptions, "replay": ReplayOptions},
-    "track": {"grbl": SerialTrackOptions, "manual": ManualOptions, "replay": ReplayOptions},
+    "track": {
+        "grbl": SerialTrackOptions,
+        "klipper": KlipperOptions,
+        "manual": ManualOptions,
+        "replay": ReplayOptions,
+    },
 }
 
 

@@ -24,6 +24,10 @@ Fact = str | float | bool | None
 """What is known of a device under a name that carries the unit; None: it does not say."""
 
 
+class ConnectionLost(DeviceError):
+    """The line or the network to a device broke, or did not come about; reaching it may help."""
+
+
 @dataclass(frozen=True)
 class Grab:
     """One picture as the camera delivers it.
@@ -139,6 +143,22 @@ class PlaceChecking(Protocol):
         ------
         DeviceError
             Where it cannot, saying what to do.
+        """
+
+
+@runtime_checkable
+class Reconnecting(Protocol):
+    """A track that can be reached again after ``ConnectionLost``, its zero kept."""
+
+    def reconnect(self) -> None:
+        """Reach it again: at rest, a laser it had lit switched off, positions as before.
+
+        Raises
+        ------
+        ConnectionLost
+            Where it is not reached.
+        DeviceError
+            Where its zero is lost, or that is not known.
         """
 
 

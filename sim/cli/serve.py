@@ -33,6 +33,7 @@ def serve(
     places: int = Option(64, help="Number of renderings kept, 5 MB each."),
     dialect: str = Option("grbl", help="Dialect of the controller: grbl or marlin."),
     link: Path | None = Option(None, help="Permanent name (a link) for the serial port."),
+    tcp: bool = Option(False, "--tcp", help="Serve the controller over TCP, not a serial port."),
     write_rig: Path | None = Option(
         None, help="Rig file to write for lscan; for several scenes, a folder."
     ),
@@ -45,7 +46,7 @@ def serve(
     given = {
         "http_port": http_port, "fps": fps, "quality": quality, "subsampling": subsampling,
         "places": places, "switched_laser": switched_laser, "prepare": prepare,
-        "dialect": dialect, "link": link,
+        "dialect": dialect, "link": link, "tcp": tcp,
     }  # fmt: skip
     options = check(ServeOptions, given, where=None, prefix="--")
     of_one = {"--http-port": http_port, "--link": link, "--fault": fault}

@@ -179,7 +179,8 @@ class EmulatedHardware:
         self.scene, self.options = scene, options or ServeOptions()
         self._timers: list[threading.Timer] = []
         with ExitStack() as stack:
-            self._track = EmulatedTrack(scene.rig.plan, self.options.dialect, self.options.link)
+            line = self.options.dialect, self.options.link, self.options.tcp
+            self._track = EmulatedTrack(scene.rig.plan, *line)
             stack.callback(self._track.unplug)
             self.controller = self._track.controller
             self._places = places = self._render_places(progress)
@@ -194,7 +195,7 @@ class EmulatedHardware:
 
     @property
     def port(self) -> str:
-        """The track's serial port."""
+        """The track's serial port, or its address."""
         return self._track.port
 
     @property

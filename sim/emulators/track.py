@@ -10,7 +10,7 @@ from pydantic import Field
 from lscan.config.documents import Strict
 from lscan.config.rig import Plan
 from lscan.errors import InputError
-from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator, PseudoTerminal
+from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator, PseudoTerminal, TcpPort
 
 Dialect = Literal["grbl", "marlin"]
 
@@ -53,12 +53,15 @@ def travel_for(plan: Plan) -> TrackTravel:
 
 
 class EmulatedTrack:
-    """A controller on a pseudo-terminal, the head at the plan's start, the laser off."""
+    """A controller on a pseudo-terminal or TCP, the head at the plan's start, the laser off."""
 
-    def __init__(self, plan: Plan, dialect: Dialect = "grbl", link: Path | None = None) -> None:
+    def __init__(
+        self, plan: Plan, dialect: Dialect = "grbl", link: Path | None = None, tcp: bool = False
+    ) -> None:
         """Plug it in.
 
         link: a name for the port that stays the same; InputError where something has it.
+        tcp: behind a TCP port of the loopback address in place of a pseudo-terminal.
         """
         self.travel = travel = travel_for(plan)
         settings = {**MACHINE, 130: travel.travel_mm}
@@ -66,21 +69,25 @@ class EmulatedTrack:
         kind: type[GrblEmulator | MarlinEmulator]
         kind = GrblEmulator if dialect == "grbl" else MarlinEmulator
         self.controller: GrblEmulator | MarlinEmulator = kind(settings, head_mm)
-        self.dialect, self._link = dialect, link
+        self.dialect, self._link, self._tcp = dialect, link, tcp
+        self._address = ""
         if link is not None:
+            if tcp:
+                allowed = "a serial port, without --tcp"
+                raise InputError("names no TCP port", where="--link", allowed=allowed)
             if link.is_symlink() and not link.exists():
                 link.unlink()  # left by one that was killed
             if link.exists():
                 raise InputError("is taken", where="--link", value=str(link), allowed="a new name")
-        self._terminal: PseudoTerminal | None = None
+        self._terminal: PseudoTerminal | TcpPort | None = None
         self.plug_in()
 
     @property
     def port(self) -> str:
-        """What to open as a serial port; "" while it is unplugged and has no link."""
+        """What to open as a port; "" while a pseudo-terminal without a link is unplugged."""
         if self._link is not None:
             return str(self._link.absolute())
-        return "" if self._terminal is None else self._terminal.port
+        return self._address if self._terminal is None else self._terminal.port
 
     @property
     def position_mm(self) -> float | None:
@@ -123,7 +130,12 @@ class EmulatedTrack:
         """Plug the cable in; nothing where it is."""
         if self._terminal is not None:
             return
-        self._terminal = PseudoTerminal(self.controller)
+        if self._tcp:
+            number = int(self._address.rpartition(":")[2] or 0)  # the same after a break
+            self._terminal = TcpPort(self.controller, number)
+            self._address = self._terminal.port
+        else:
+            self._terminal = PseudoTerminal(self.controller)
         if self._link is not None:
             try:
                 self._link.symlink_to(self._terminal.port)
@@ -167,7 +179,8 @@ class ServeOptions(Strict):
     switched_laser : bool, the laser is lit only by M3, else always
     prepare : bool, render all of the plan first, and keep it
     dialect : Dialect, of the controller, "grbl" or "marlin"
-    link : Path or None, a lasting name for the controller's port
+    link : Path or None, a lasting name for the controller's serial port
+    tcp : bool, the controller is behind a TCP port in place of a serial one
 
     Examples
     --------
@@ -185,3 +198,4 @@ class ServeOptions(Strict):
     prepare: bool = False
     dialect: Dialect = "grbl"
     link: Path | None = None
+    tcp: bool = False

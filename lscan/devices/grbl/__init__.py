@@ -1,4 +1,4 @@
-"""A track on a serial line whose controller runs Grbl 1.1 or Marlin.
+"""A track on a serial line or a network whose controller runs Grbl 1.1 or Marlin.
 
 [track]
 driver = "grbl"
@@ -7,6 +7,7 @@ options = { port = "/dev/ttyUSB0", min_mm = 0, max_mm = 180, zero_mm = -190 }
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 from lscan.config.rig import RigFile
 from lscan.devices.api import Fact, TravelDriver
@@ -23,6 +24,7 @@ def open_track(
     transport: Transport | None = None,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
+    connect: Callable[[], Transport] | None = None,
 ) -> SerialTrack:
     """The track the options describe, awake and homed where they say so.
 
@@ -31,9 +33,12 @@ def open_track(
     options : SerialTrackOptions
         ``[track.options]`` of a rig file.
     transport : Transport, optional
-        In place of the serial port ``options.port``.
+        In place of ``options.port``.
     clock, sleep : callable
         The time it lives in, s.
+    connect : callable, optional
+        Gives another transport where this one breaks; where neither is given, ``options.port`` is
+        opened again.
 
     Returns
     -------
@@ -47,8 +52,10 @@ def open_track(
     """
     name = f"{options.dialect} track on {options.port}"
     if transport is None:
-        transport = open_serial(options.port, options.baud, name, options.write_s, options.dtr)
-    link = Link(transport, name, clock, sleep, options.write_s)
+        line = options.port, options.baud, name, options.write_s, options.dtr
+        connect = partial(open_serial, *line)
+        transport = connect()
+    link = Link(transport, name, clock, sleep, options.write_s, connect)
     kind = GrblMachine if options.dialect == "grbl" else MarlinMachine
     return SerialTrack(kind(link, options), options, link)
 
@@ -59,7 +66,10 @@ class SerialTrackDriver(TravelDriver[SerialTrackOptions]):
     model, slack_mm = SerialTrackOptions, ROUNDING_MM
     switches_laser = True
     connection_options = frozenset(
-        {"port", "baud", "dtr", "boot_s", "answer_s", "homing_s", "write_s"}
+        {
+            *("port", "baud", "dtr", "boot_s", "answer_s", "homing_s", "write_s"),
+            *("reconnects", "reconnect_wait_s"),
+        }
     )
 
     def capabilities(self, rig_file: RigFile) -> dict[str, Fact]:

@@ -81,6 +81,8 @@ _REMEDIES = {
 class GrblMachine:
     """The axis of a controller that runs Grbl 1.1."""
 
+    notices_restart = True
+
     def __init__(self, link: Link, options: SerialTrackOptions) -> None:
         self._link, self._options = link, options
         self._dialogue = Dialogue(link, options.answer_s)

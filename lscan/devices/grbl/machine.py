@@ -1,4 +1,4 @@
-"""A controller on a serial line, whatever its language: options, lines, what all can do."""
+"""A controller on a line, whatever its language: options, lines, what all can do."""
 
 import contextlib
 import math
@@ -7,40 +7,35 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Final, Generic, Literal, Protocol, TypeVar
+from urllib.parse import urlsplit
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from lscan.devices.api import TravelOptions
+from lscan.devices.api import ConnectionLost, Fact, TravelOptions
 from lscan.errors import DeviceError
 
-# ``[track.options]`` of the serial track, checked before any device is touched.
+# ``[track.options]`` of these tracks, checked before any device is touched.
 
 Place = Annotated[float, Field(ge=-100_000, le=100_000)]
 ROUNDING_MM: Final = 0.0005
 """Half of the last of three decimals, with which coordinates go over the line."""
 
 
-class SerialTrackOptions(TravelOptions):
-    """The track's port, its frame and how it moves.
+class AxisOptions(TravelOptions):
+    """One axis of a controller, and how it moves: what all such tracks are told.
 
-    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``.  dtr: whether its lines DTR and RTS
-    are raised while it is open, which holds some boards in reset.  min_mm, max_mm: positions the
-    head may be sent to; the approach needs ``approach_mm`` of free way below min_mm.
-    zero_mm: the machine coordinate where the position is 0; invert: positions grow where
-    machine coordinates fall.  approach_mm: every position is reached upwards, over at least
-    this way, so that backlash is taken up; 0: from wherever the head stands.
+    min_mm, max_mm: positions the head may be sent to; the approach needs ``approach_mm`` of free
+    way below min_mm.  zero_mm: the machine coordinate where the position is 0; invert: positions
+    grow where machine coordinates fall.  approach_mm: every position is reached upwards, over at
+    least this way, so that backlash is taken up; 0: from wherever the head stands.
     tolerance_mm: how far from its target the head may report to have stopped.
     settle_s: rest before a picture.  homing: search the switches on opening; without it the
     machine's zero is where the head stood when the controller started, and any restart moves it.
-    boot_s, answer_s, homing_s: how long a start, an answer, a homing may take.  write_s: how
-    long the port may take to accept a line; longer where a busy computer or an adapter holds it up.
+    answer_s, homing_s: how long an answer, a homing may take.  reconnects: how often a scan tries
+    to reach a controller again whose connection broke, each time after reconnect_wait_s.
     laser_power: S word of M3.
     """
 
-    port: Annotated[str, Field(min_length=1)]
-    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115_200
-    dtr: bool = True
-    dialect: Literal["grbl", "marlin"] = "grbl"
     axis: Literal["X", "Y", "Z"] = "X"
     min_mm: Place
     max_mm: Place
@@ -51,10 +46,10 @@ class SerialTrackOptions(TravelOptions):
     tolerance_mm: Annotated[float, Field(gt=0, le=1)] = 0.02
     settle_s: Annotated[float, Field(ge=0, le=60)] = 0.2
     homing: bool = True
-    boot_s: Annotated[float, Field(ge=0, le=30)] = 3.0
     answer_s: Annotated[float, Field(gt=0, le=60)] = 2.0
     homing_s: Annotated[float, Field(gt=0, le=600)] = 60.0
-    write_s: Annotated[float, Field(gt=0, le=60)] = 5.0
+    reconnects: Annotated[int, Field(ge=0, le=100)] = 5
+    reconnect_wait_s: Annotated[float, Field(ge=0, le=600)] = 1.0
     laser_power: Annotated[float, Field(ge=0, le=100_000)] = 1000.0
 
     def machine_mm(self, position_mm: float) -> float:
@@ -77,7 +72,47 @@ class SerialTrackOptions(TravelOptions):
         return -offset_mm if self.invert else offset_mm
 
 
-# Lines over a serial port: sent whole, read until a deadline, noise skipped and counted.
+def _require_port_number(address: str) -> str:
+    if "://" in address and urlsplit(address).port == 0:  # ValueError above 65535
+        raise ValueError("its port must be 1 to 65535")
+    return address
+
+
+PortNumber: Final = AfterValidator(_require_port_number)
+"""Of an address, checked to be one that there is."""
+
+Port = Annotated[
+    str,
+    PortNumber,
+    Field(
+        pattern=r"^(([^:]|:+[^:/])+|(socket|rfc2217)://([^\[\]\s:/?#@]+|\[[0-9a-fA-F:.]+\]):[0-9]+)$",
+        description="a serial port, such as /dev/ttyUSB0 or COM3; or socket://HOST:PORT or "
+        "rfc2217://HOST:PORT",
+    ),
+]
+"""No other URL that pyserial knows: a rig file may be a stranger's, and ``alt://`` loads any
+class, ``spy://`` writes files (pyserial 3.5, "URL Handlers")."""
+
+
+class SerialTrackOptions(AxisOptions):
+    """The track's port, besides what is said of its axis.
+
+    port: the serial port, as ``/dev/ttyUSB0`` or ``COM3``; or, over a network, raw TCP as
+    ``socket://HOST:PORT``, a serial port by RFC 2217 as ``rfc2217://HOST:PORT``.  dtr: whether its
+    lines DTR and RTS are raised while it is open, which holds some boards in reset.
+    boot_s: how long a start may take.  write_s: how long the port may take to accept a line; longer
+    where a busy computer or an adapter holds it up.
+    """
+
+    port: Port
+    baud: Annotated[int, Field(ge=1200, le=4_000_000)] = 115_200
+    dtr: bool = True
+    dialect: Literal["grbl", "marlin"] = "grbl"
+    boot_s: Annotated[float, Field(ge=0, le=30)] = 3.0
+    write_s: Annotated[float, Field(gt=0, le=60)] = 5.0
+
+
+# Lines over a port or a network: sent whole, read until a deadline, noise skipped and counted.
 
 
 LONGEST_LINE: Final = 70  # Grbl 1.1's own limit is 80 with the line end, Marlin's 96
@@ -102,33 +137,43 @@ class Transport(Protocol):
 
 
 def open_serial(port: str, baud: int, name: str, write_s: float, dtr: bool = True) -> Transport:
-    """The serial port, opened for this program alone; DeviceError where it cannot be.
+    """The serial port, opened for this program alone, or the connection that its URL names.
 
-    write_s: how long it may take to accept what is sent.  dtr: whether its lines DTR and RTS are
-    raised while it is open.
+    ConnectionLost where it cannot be.  write_s: how long it may take to accept what is sent; of
+    RFC 2217, pyserial's own 5 s.  dtr: whether its lines DTR and RTS are raised while it is open.
     """
     try:
         import serial
     except ImportError:
         raise DeviceError(f"{name}: needs the package pyserial; install it") from None
+    # pyserial 3.5 opens no RFC 2217 port with a write timeout: NotImplementedError.
+    accepts_s = None if port.startswith("rfc2217:") else write_s
     try:
-        line = serial.Serial(None, baud, timeout=0.01, write_timeout=write_s, exclusive=True)
-        line.port, line.dtr, line.rts = port, dtr, dtr  # before it opens: that would raise both
+        line = serial.serial_for_url(
+            port, baud, timeout=0.01, write_timeout=accepts_s, exclusive=True, do_not_open=True
+        )
+        line.dtr = line.rts = dtr  # before it opens: that would raise both
         line.open()
         return line
     except (OSError, ValueError) as error:
-        raise DeviceError(
+        if "://" in port:
+            raise ConnectionLost(
+                f"{name}: cannot be reached: {error.__context__ or error}; check the address, the "
+                "network, the controller's power, and that no other program holds the connection"
+            ) from error
+        raise ConnectionLost(
             f"{name}: {port!r} cannot be opened at {baud} baud: {error}; check the cable, the "
             "port's name, that no other program holds it, and that you may use it (group dialout)"
         ) from error
 
 
 class Link:
-    """A serial line on which whole lines are exchanged.
+    """A connection on which whole lines are exchanged.
 
     name: how messages call the device.  write_s: how long the transport waits until what is sent
     is accepted.  noise_bytes: bytes skipped so far because they were
-    part of no readable line.  clock, sleep: the time, for a line in simulated time.
+    part of no readable line.  clock, sleep: the time, for a line in simulated time.  connect: gives
+    another transport in place of one that broke.
     """
 
     def __init__(
@@ -138,8 +183,9 @@ class Link:
         clock: Callable[[], float] = time.monotonic,
         sleep: Callable[[float], None] = time.sleep,
         write_s: float = math.inf,
+        connect: Callable[[], Transport] | None = None,
     ) -> None:
-        self._write_s = write_s
+        self._write_s, self._connect = write_s, connect
         self.name, self.clock, self.sleep = name, clock, sleep
         self.noise_bytes = 0
         self._transport = transport
@@ -191,6 +237,18 @@ class Link:
         with contextlib.suppress(OSError):
             self._transport.close()
 
+    @property
+    def can_reopen(self) -> bool:
+        """Whether there is a way to another transport."""
+        return self._connect is not None
+
+    def reopen(self) -> None:
+        """Connect anew; ConnectionLost where that fails.  What had come in part is forgotten."""
+        assert self._connect is not None
+        self.close()
+        self._received.clear()
+        self._transport = self._connect()
+
     def _readable(self, raw: bytes) -> str | None:
         """The line, freed of noise before it; None where it is empty or has noise within."""
         stripped = raw.strip(b"\r\t ")
@@ -211,9 +269,9 @@ class Link:
                 "the controller hangs, or the computer was held up: switch the controller off and "
                 "on, or raise track.options.write_s, then open the track again"
             )
-        return DeviceError(
-            f"{self.name}: the serial line broke ({error}); check the cable and the controller's "
-            "power, then open the track again"
+        return ConnectionLost(
+            f"{self.name}: the connection broke ({error}); check the cable or the network, and the "
+            "controller's power, then open the track again"
         )
 
 
@@ -257,6 +315,61 @@ class AxisTravel:
     step_mm: float = 0.0
     max_mm_min: float = math.inf
     accel_mm_s2: float = math.inf
+
+
+class AxisMachine(Protocol):
+    """A controller as one axis and a laser, whatever its language; its errors are DeviceError.
+
+    notices_restart: whether ``position_mm`` raises where the controller has restarted since it was
+    woken, so that its positions count from elsewhere.
+    """
+
+    notices_restart: bool
+
+    @property
+    def zero(self) -> str:
+        """A name for the zero that its coordinates count from."""
+
+    def has_kept(self, zero: str) -> bool:
+        """Whether they count from this zero still."""
+
+    def wake(self) -> AxisTravel:
+        """Make it listen, at rest, and ask what it knows of the axis."""
+
+    def describe(self) -> dict[str, Fact]:
+        """What it says of itself and its state."""
+
+    def home(self) -> None:
+        """Search the switch."""
+
+    def move(self, target_mm: float, feed_mm_min: float, within_s: float) -> None:
+        """Move to a machine coordinate and wait until at rest, no longer than ``within_s``."""
+
+    def position_mm(self) -> float:
+        """The machine coordinate at which it rests."""
+
+    def laser(self, power: float) -> None:
+        """Switch the laser on, or off by 0, and see that it is."""
+
+    def stop(self) -> None:
+        """End all motion; the position is kept where the controller can."""
+
+
+class Connection(Protocol):
+    """What a track asks of the line or the network to its controller; ``Link`` has it."""
+
+    name: str
+    sleep: Callable[[float], None]
+
+    @property
+    def can_reopen(self) -> bool:
+        """Whether it can be reached anew."""
+
+    def reopen(self) -> None:
+        """Reach it anew; ConnectionLost where that fails."""
+
+    def close(self) -> None:
+        """Release it."""
 
 
 class Exchange(ABC, Generic[Said]):

@@ -65,6 +65,8 @@ class MarlinExchange(Exchange[str]):
 class MarlinMachine:
     """The axis of a controller that runs Marlin."""
 
+    notices_restart = False
+
     def __init__(self, link: Link, options: SerialTrackOptions) -> None:
         self._link, self._options = link, options
         self._exchange = MarlinExchange(link, options.answer_s)

@@ -1,14 +1,12 @@
-"""A linear track behind a Grbl or Marlin controller."""
+"""A linear track behind a controller that speaks Grbl, Marlin or Klipper."""
 
 import contextlib
 import logging
 import math
 from collections.abc import Iterator
 
-from lscan.devices.api import LASER_MAY_BE_LIT, Fact, require_reachable
-from lscan.devices.grbl.controller import GrblMachine
-from lscan.devices.grbl.machine import ROUNDING_MM, Link, SerialTrackOptions
-from lscan.devices.grbl.marlin import MarlinMachine
+from lscan.devices.api import LASER_MAY_BE_LIT, ConnectionLost, Fact, require_reachable
+from lscan.devices.grbl.machine import ROUNDING_MM, AxisMachine, AxisOptions, Connection
 from lscan.errors import DeviceError
 
 _CLOSED = "is closed"
@@ -23,16 +21,14 @@ class SerialTrack:
     a stalled motor loses are not known to the controller and can be seen only by homing.
     """
 
-    def __init__(
-        self, machine: GrblMachine | MarlinMachine, options: SerialTrackOptions, link: Link
-    ) -> None:
+    def __init__(self, machine: AxisMachine, options: AxisOptions, link: Connection) -> None:
         """Wake the machine and home it where the options say so.
 
         Parameters
         ----------
-        machine : GrblMachine or MarlinMachine, speaks the controller's dialect
-        options : SerialTrackOptions, port, travel and motion
-        link : Link, the line to the controller
+        machine : AxisMachine, speaks the controller's language
+        options : AxisOptions, travel and motion
+        link : Connection, to the controller
 
         Raises
         ------
@@ -41,6 +37,7 @@ class SerialTrack:
         """
         self._machine, self._options, self._link, self._name = machine, options, link, link.name
         self._refusal: str | None = None
+        self._lost: ConnectionLost | None = None  # what the refusal is about
         self._engaged = self._moved = self._lit = False
         try:
             self._travel = machine.wake()
@@ -50,7 +47,7 @@ class SerialTrack:
                 # A warning, so that it is seen without logging set up: the head moves by itself.
                 _log.warning("%s: homing, within %g s", link.name, options.homing_s)
                 machine.home()
-            self._position_mm = options.position_mm(machine.position_mm())
+            self._position_mm = self._sent_mm = options.position_mm(machine.position_mm())
         except BaseException:
             link.close()
             raise
@@ -94,7 +91,7 @@ class SerialTrack:
         require_reachable(self._name, position_mm, self.limits_mm, ROUNDING_MM)
         with self._latch_failure():
             self._check_undisturbed()
-            self._moved = True
+            self._moved, self._sent_mm = True, float(position_mm)
             return self._approach(float(position_mm))
 
     def describe(self) -> dict[str, Fact]:
@@ -146,15 +143,14 @@ class SerialTrack:
         self._ready()
         if self._options.homing:
             return
-        stands_mm, slack_mm = self._position_mm, self.tolerance_mm
+        stands_mm = self._position_mm
         reports = (
             f"{self._name}: reports {stands_mm:g} mm, the last frame was recorded at "
             f"{last_mm:g} mm; the scan might go on at shifted places, since"
         )
         if zero is None or not self._machine.has_kept(zero):
             raise DeviceError(f"{reports} {self._lost_zero()}")
-        low_mm = min(last_mm, next_mm) - self._options.approach_mm - slack_mm
-        high_mm = max(last_mm, next_mm) + slack_mm
+        low_mm, high_mm = self._way_mm(last_mm, next_mm)
         if not self._moved and not low_mm <= stands_mm <= high_mm:
             raise DeviceError(
                 f"{reports} the head was moved, or homed by hand, in between: jog to "
@@ -162,12 +158,17 @@ class SerialTrack:
                 "began, resume with --position-restored"
             )
 
+    def _way_mm(self, start_mm: float, end_mm: float) -> tuple[float, float]:
+        """Lowest and highest place at which a head may be left that goes from one to the other."""
+        low_mm, high_mm = sorted((start_mm, end_mm))
+        return low_mm - self._options.approach_mm - self.tolerance_mm, high_mm + self.tolerance_mm
+
     def _lost_zero(self) -> str:
         """Why the zero may have moved, and how it is put back."""
         start_mm = self._options.position_mm(0.0)
         why = (
             "Marlin does not report whether it restarted in between"
-            if self._options.dialect == "marlin"
+            if not self._machine.notices_restart
             else "the controller was restarted, reset or in alarm in between, or used otherwise"
         )
         return (
@@ -176,6 +177,55 @@ class SerialTrack:
             "it on, and resume with --position-restored; or, where it was homed by hand before "
             "the scan began, do so again and resume with --position-restored"
         )
+
+    def reconnect(self) -> None:
+        """Reach a controller again whose connection broke, where it has kept its zero.
+
+        What it was still doing is stopped, a laser that was lit is put out, and the head must
+        stand on the way that it was sent.  The next move approaches from below again.
+
+        Raises
+        ------
+        ConnectionLost
+            ``reconnects`` attempts did not reach it.
+        DeviceError
+            It restarted or is in alarm, the head was moved, or it runs Marlin, which does not
+            report a restart.
+        """
+        if (lost := self._lost) is None:
+            self._ready()
+            return
+        for _ in range(self._options.reconnects if self._link.can_reopen else 0):
+            self._link.sleep(self._options.reconnect_wait_s)
+            try:
+                self._link.reopen()
+                self._position_mm = self._recovered_mm()
+                self._refusal = self._lost = None
+                return
+            except ConnectionLost as error:
+                lost = error
+        raise lost
+
+    def _recovered_mm(self) -> float:
+        """Where the head rests after the connection came back; DeviceError where that is unsure."""
+        self._machine.stop()
+        if self._lit:
+            self._machine.laser(0.0)
+            self._lit = False
+        if not self._machine.notices_restart:
+            raise DeviceError(
+                f"{self._name}: the connection broke, and Marlin does not report whether it "
+                "restarted meanwhile; open the track again"
+            )
+        stands_mm = self._options.position_mm(self._machine.position_mm())
+        low_mm, high_mm = self._way_mm(self._position_mm, self._sent_mm)
+        if not low_mm <= stands_mm <= high_mm:
+            raise DeviceError(
+                f"{self._name}: stands at {stands_mm:g} mm since the connection broke, allowed on "
+                f"its way: {low_mm:g} to {high_mm:g} mm; something else moved it: home and open "
+                "the track again"
+            )
+        return stands_mm
 
     def laser_on(self) -> None:
         """Switch the laser on with the rig's ``laser_power``."""
@@ -204,7 +254,7 @@ class SerialTrack:
             except DeviceError:
                 _log.warning("%s: %s", self._name, LASER_MAY_BE_LIT)
         self._link.close()
-        self._refusal = _CLOSED
+        self._refusal, self._lost = _CLOSED, None
 
     def _approach(self, target_mm: float) -> float:
         """Go there from below; where the head already came from below, straight on."""
@@ -257,7 +307,7 @@ class SerialTrack:
                     f"{self._name}: track.options ask for {lowest_mm:g} to {options.max_mm:g} mm "
                     f"(approach_mm below min_mm included), the controller's soft limits allow "
                     f"{low_mm:g} to {high_mm:g} mm; change min_mm, max_mm, approach_mm, zero_mm "
-                    "or invert, or the travel $130 to $132"
+                    "or invert, or the travel (Grbl: $130 to $132)"
                 )
 
     def _travel_ends_mm(self) -> list[float]:
@@ -271,12 +321,13 @@ class SerialTrack:
             raise DeviceError(
                 f"{self._name}: track.options.feed_mm_min is {feed_mm_min:g}, the axis's fastest "
                 f"in the controller is {max_mm_min:g} mm/min; lower it, or raise the controller's "
-                "($110 to $112) where the motor can do it"
+                "(Grbl: $110 to $112) where the motor can do it"
             )
 
     def _ready(self) -> None:
         if self._refusal is not None:
-            raise DeviceError(f"{self._name}: {self._refusal}")
+            kind = DeviceError if self._lost is None else ConnectionLost
+            raise kind(f"{self._name}: {self._refusal}")
 
     @contextlib.contextmanager
     def _latch_failure(self) -> Iterator[None]:
@@ -284,8 +335,9 @@ class SerialTrack:
         try:
             yield
         except BaseException as error:
-            first = f"failed before and must be opened again ({error})"
-            self._refusal = self._refusal or first
+            if self._refusal is None:
+                self._refusal = f"failed before and must be opened again ({error})"
+                self._lost = error if isinstance(error, ConnectionLost) else None
             self._engaged = False
             with contextlib.suppress(DeviceError):
                 self._machine.stop()

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import select
+import socket
 import threading
 import time
 import tty
@@ -130,7 +131,7 @@ class EmulatedController(ABC):
             self._out += line.encode("ascii") + self.line_end
 
 
-# A serial line to an emulated controller, opened by the system; faults.
+# A line to an emulated controller, a serial port of the system or TCP; faults.
 
 
 POLL_S = 0.002  # between looks at a controller that has not been spoken to
@@ -212,15 +213,8 @@ class PseudoTerminal:
         self.close()
 
     def _serve(self) -> None:
-        """Carry bytes until unplugged, by the controller or from outside."""
-        try:
-            while not self._ended.is_set():
-                ready, _, _ = select.select([self._master], [], [], POLL_S)
-                if ready:
-                    self._controller.receive(os.read(self._master, 4096))
-                if data := self._controller.transmit():
-                    os.write(self._master, data)
-        except OSError:
+        _carry(self._controller, self._master, self._ended)
+        if not self._ended.is_set():
             self._close_ends()
 
     def _close_ends(self) -> None:
@@ -228,3 +222,60 @@ class PseudoTerminal:
             with contextlib.suppress(OSError):
                 os.close(end)
         self._master = self._slave = -1
+
+
+class TcpPort:
+    """A controller behind a port of the loopback address, for one client after the other.
+
+    with TcpPort(GrblEmulator()) as line:
+        ...  # connect to line.port, socket://127.0.0.1:NUMBER; line.drop() ends a connection
+    """
+
+    def __init__(self, controller: EmulatedController, number: int = 0) -> None:
+        """Listen.  number: of the port, 0 for any that is free."""
+        self._controller = controller
+        self._listener = socket.create_server(("127.0.0.1", number))
+        self.port = f"socket://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._client: socket.socket | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name=self.port, daemon=True)
+        self._thread.start()
+
+    def drop(self) -> None:
+        """End the connection; the controller stays under power, and another may follow."""
+        if (client := self._client) is not None:
+            with contextlib.suppress(OSError):
+                client.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Refuse connections and end the one there is; twice is harmless."""
+        self._ended.set()
+        with contextlib.suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._listener.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):  # of a listener that was shut down
+            while not self._ended.is_set():
+                with self._listener.accept()[0] as self._client:
+                    _carry(self._controller, self._client.fileno(), self._ended)
+
+
+def _carry(controller: EmulatedController, line: int, ended: threading.Event) -> None:
+    """Carry bytes over a descriptor until told to end, or the line or the controller ends it."""
+    with contextlib.suppress(OSError):
+        while not ended.is_set():
+            ready, _, _ = select.select([line], [], [], POLL_S)
+            if ready:
+                if not (data := os.read(line, 4096)):
+                    return
+                controller.receive(data)
+            if data := controller.transmit():
+                os.write(line, data)

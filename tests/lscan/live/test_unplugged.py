@@ -83,6 +83,7 @@ def grbl_rig(cable: Cable) -> RigFile:
         "feed_mm_min": 50_000,
         "settle_s": 0,
         "boot_s": 0.2,
+        "reconnects": 0,
     }
     document = {**fake_rig(FRAMES).document, "track": {"driver": "grbl", "options": options}}
     return parse_rig(document, source="rig.toml", trusted=True)

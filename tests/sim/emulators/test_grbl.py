@@ -1,13 +1,19 @@
 """The emulated controller against Grbl 1.1's documentation, and its motion in closed form."""
 
+import socket
+from pathlib import Path
+
 import pytest
 from drawn_examples import examples
 from grbl_line import SimulatedTime
 from hypothesis import given, strategies as st
 
+from lscan.config.rig import Plan
 from lscan.devices.grbl.dialogue import StatusReport, parse_line
+from lscan.errors import InputError
 from sim.emulators.grbl import GrblEmulator
 from sim.emulators.grbl.motion import Ramp
+from sim.emulators.track import EmulatedTrack
 
 FREE = {20: 0, 22: 0}  # no homing, no soft limits: nothing is locked
 
@@ -218,3 +224,31 @@ def test_a_ramp_is_symmetric_and_keeps_its_limits(
     assert way == pytest.approx(mirrored, abs=1e-9 * length)
     assert 0 <= speed <= top * (1 + 2**-51)  # a quotient and a product, each rounded once
     assert -1e-9 * length <= way <= length * (1 + 1e-9)
+
+
+# ---- over TCP ---------------------------------------------------------------------------
+
+
+def test_unplugged_and_plugged_in_again_it_has_the_same_address() -> None:
+    track = EmulatedTrack(Plan(), tcp=True)
+    try:
+        address = track.port
+        track.unplug()
+        assert track.port == address
+        with pytest.raises(OSError, match="refused"):
+            _reach(address)
+        track.plug_in()
+        assert track.port == address
+        _reach(address)
+    finally:
+        track.unplug()
+
+
+def _reach(address: str) -> None:
+    host, number = address.removeprefix("socket://").split(":")
+    socket.create_connection((host, int(number)), timeout=60).close()
+
+
+def test_a_link_names_no_tcp_port(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"--link: names no TCP port .*without --tcp"):
+        EmulatedTrack(Plan(), link=tmp_path / "port", tcp=True)

@@ -26,6 +26,7 @@ from lscan.config.documents import Document, Strict, merge
 from lscan.config.plugins import installed
 from lscan.config.rig import Rig, parse_rig
 from lscan.devices.grbl import SerialTrackOptions
+from lscan.devices.klipper import KlipperOptions
 from lscan.devices.manual import ManualOptions
 from lscan.devices.opencv_camera import OpencvOptions
 from lscan.files.disk import packaged_table
@@ -43,6 +44,7 @@ CAMERAS: dict[str, type[Strict]] = {
 }
 TRACKS: dict[str, type[Strict]] = {
     "grbl": SerialTrackOptions,
+    "klipper": KlipperOptions,
     "manual": ManualOptions,
     "replay": ReplayOptions,
     "sim": TrackOptions,

@@ -54,7 +54,7 @@ FAULTS = {
     "slow": (Faults(slow=20.0), r"still in state Jog .*check for a jam, the feed rate"),
     "restart": (Faults(restart=True), r"the controller has restarted.*home"),
     "quiet restart": (Faults(restart=True, quietly=True), r"home"),
-    "unplugged": (Faults(unplug=True), r"the serial line broke .*check the cable"),
+    "unplugged": (Faults(unplug=True), r"the connection broke .*check the cable"),
     "garbled": (Faults(garble=0.5), r"(silent|readings in a row|refuses).*"),
 }
 
@@ -188,7 +188,7 @@ def test_a_cable_pulled_from_a_real_port() -> None:
     track = open_track(options)
     track.move_to(1.0)
     terminal.close()
-    with pytest.raises(DeviceError, match=r"the serial line broke .*check the cable"):
+    with pytest.raises(DeviceError, match=r"the connection broke .*check the cable"):
         track.move_to(2.0)
     track.close()
     terminal.close()
