@@ -26,6 +26,7 @@ from lscan.config.rig import RigFile, parse_rig
 from lscan.devices.api import Grab
 from lscan.errors import DeviceError, InputError
 from lscan.files import disk
+from lscan.pipeline import mean_picture
 
 
 @pytest.fixture(autouse=True)
@@ -90,6 +91,9 @@ def test_deep_pictures_are_kept_to_the_last_bit(tmp_path: Path, colour: bool) ->
         np.testing.assert_array_equal(frame.image, camera.grab().image)
         file = Image.open(tmp_path / "a" / "frames" / f"{index:06d}.png")
         assert file.mode == ("RGB" if colour else "I;16")  # Pillow shows 8 bits of deep colours
+    mean = np.mean([frame.image for frame in run.frames()], axis=0)
+    assert mean_picture(run).dtype == np.uint16
+    np.testing.assert_array_equal(mean_picture(run), np.rint(mean))
     with pytest.raises(DeviceError, match=r"frame 0 is uint8 .*allowed: uint16 for camera.bits"):
         fake_scan(tmp_path / "b", deep)
     with pytest.raises(DeviceError, match=r"frame 0 is uint16 .*allowed: uint8 for camera.bits"):

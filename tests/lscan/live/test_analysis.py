@@ -1,6 +1,7 @@
 """What the live page measures of a picture, against closed forms."""
 
 import struct
+from typing import Any
 
 import numpy as np
 import pytest
@@ -221,3 +222,22 @@ def test_the_profile_has_null_where_the_map_has_no_value():
     assert document["x_mm"][100] == pytest.approx(50.0)
     assert document["sigma_mm"] == 0.25
     assert has_value(figures.line.stripe.status).all()
+
+
+@pytest.mark.parametrize(
+    "measure", [lambda p: measure_line(p, SETTINGS, None), lambda p: measure_picture(p, SETTINGS)]
+)
+def test_a_picture_of_more_bits_has_the_figures_of_eight(measure: Any) -> None:
+    """Of the same grey values, in the upper of sixteen bits; sums are of another order."""
+    shallow = picture(3.0)
+    one, other = measure(shallow), measure(shallow.astype(np.uint16) << 8)
+    assert other.saturated_percent == one.saturated_percent
+    assert other.focus == pytest.approx(one.focus, rel=1e-4)
+    if one.line is not None:
+        assert other.line.width_px == pytest.approx(one.line.width_px, rel=1e-4)
+        assert other.line.snr == pytest.approx(one.line.snr, rel=1e-4)
+
+
+def test_a_browser_is_sent_the_eight_upper_bits() -> None:
+    shallow = picture(3.0)
+    assert jpeg_of(shallow.astype(np.uint16) * 256 + 255) == jpeg_of(shallow)
