@@ -294,10 +294,8 @@ def _doubts(found: RigCheck) -> Iterator[str]:
     if sensor.gamma != 1 and stripe.gamma == 1:
         yield f"sensor.gamma = {sensor.gamma:g}, which stripe.gamma does not state"
     if stripe.noise is not None and sensor.noise:
-        gain, rounding = (
-            sensor.gain * FULL_SCALE_DN / sensor.full_well_e,
-            scene.rig.camera.step_dn**2 / 12,
-        )
+        gain = sensor.gain * FULL_SCALE_DN / sensor.full_well_e
+        rounding = rig.camera.step_dn**2 / 12
         read = float(np.sqrt(gain**2 * (sensor.dark_noise_e**2 + sensor.dsnu_e**2) + rounding))
         true = {"read_dn": read, "dn_per_electron": gain, "speckle": _contrast(scene)}
         for key, value in true.items():

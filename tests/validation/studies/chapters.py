@@ -10,6 +10,7 @@ from tests.validation.studies import coverage, crosscheck, running
 from tests.validation.studies.comparison import comparison_rows
 from tests.validation.studies.designs import design_rows, tolerance_rows
 from tests.validation.studies.propagation import propagation_rows
+from tests.validation.studies.rigs import check_rows
 from tests.validation.studies.tiers import tier_rows
 from tests.validation.studies.twelve import rendered_rows, speed_rows
 
@@ -41,6 +42,7 @@ def _full(scenes: Path, folder: Path) -> Chapters:
         "two rigs on the same draws": comparison_rows,
         "law of propagation": propagation_rows,
         "cross-check": lambda: crosscheck.cross_check_rows(scenes, Looked()),
+        "rigs checked": lambda: check_rows(scenes),
         "recalibration": lambda: crosscheck.recalibration_rows(scenes, Looked()),
         "tiers": lambda: tier_rows(paper),
         "rendered": lambda: rendered_rows(_none_of_before(folder / "rendered")),
