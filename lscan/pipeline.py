@@ -31,7 +31,18 @@ from lscan.measure import (
     groove_dimensions,
     unmeasured_distances,
 )
-from lscan.records import BoardReading, Floats, Length, Picture, Profile, Progress, Status, Surface
+from lscan.records import (
+    BoardReading,
+    Floats,
+    Length,
+    Picture,
+    Profile,
+    Progress,
+    Status,
+    Surface,
+    html_table,
+    plus_minus,
+)
 from lscan.stripe.extract import compile_lines, extract_stripe
 from lscan.surface import Alignment, Slice, align_sandwave, apply, resample, stack
 from lscan.surface.alignment import KeptAlignment
@@ -425,6 +436,9 @@ class BoardMeasures:
         """A line for each length."""
         return _lines({**self.distances, **self.diameters})
 
+    def _repr_html_(self) -> str:
+        return _lengths_html({**self.distances, **self.diameters})
+
 
 @dataclass(frozen=True)
 class GrooveMeasures:
@@ -444,6 +458,9 @@ class GrooveMeasures:
     def __str__(self) -> str:
         """A line for each dimension."""
         return _lines(self.dimensions)
+
+    def _repr_html_(self) -> str:
+        return _lengths_html(self.dimensions)
 
 
 @dataclass(frozen=True)
@@ -477,6 +494,13 @@ class SandwaveMeasures:
                 "slices": {name: errors.as_json() for name, errors in self.errors.items()},
             }
         }
+
+    def __str__(self) -> str:
+        """A line for each slice."""
+        return "\n".join(f"{name}: {errors}" for name, errors in self.errors.items())
+
+    def _repr_html_(self) -> str:
+        return html_table(self.errors.items())
 
 
 Piece = TypeVar("Piece", GroovedBlock, Sandwave)
@@ -624,6 +648,15 @@ def measure_sandwave(
 
 def _lines(lengths: Mapping[str, Length]) -> str:
     return "\n".join(f"{name}: {length}" for name, length in lengths.items())
+
+
+def _lengths_html(lengths: Mapping[str, Length]) -> str:
+    rows = [
+        (name, plus_minus(one.measured_mm, one.sigma_mm), f"{one.nominal_mm:g}",
+         plus_minus(one.error_mm, one.sigma_mm))
+        for name, one in lengths.items()
+    ]  # fmt: skip
+    return html_table(rows, ["", "measured, mm", "nominal, mm", "error, mm"])
 
 
 def find_shaft(run: Run, plane_map: PlaneMap, progress: Progress | None = None) -> ShaftFit:

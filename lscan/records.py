@@ -23,9 +23,10 @@ which has a value of lesser quality) holds NaN.  Nothing is dropped in silence.
 Every measured coordinate has a standard uncertainty (one sigma) beside it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
+from html import escape
 from typing import Any, Literal, TypeVar
 
 import numpy as np
@@ -111,6 +112,58 @@ def select(record: Record, wanted: Mask | Ints | slice) -> Record:
     return type(record)(**{k: v[wanted] if isinstance(v, np.ndarray) else v for k, v in parts})
 
 
+# How records say in a line, or in a notebook's table, what they hold.
+
+
+def plus_minus(value: float, sigma: float, unit: str = "") -> str:
+    """A value with its standard uncertainty, both to the second digit of the uncertainty.
+
+    Parameters
+    ----------
+    value, sigma : float, of ``unit``; sigma NaN where it is not known
+    unit : str, "" for none
+
+    References
+    ----------
+    JCGM 100:2008, "Guide to the expression of uncertainty in measurement", 7.2.6.
+
+    Examples
+    --------
+    >>> plus_minus(19.9312, 0.2381, "mm"), plus_minus(1234.5, 123.4)
+    ('19.93 ± 0.24 mm', '1230 ± 120')
+    """
+    if not 0 < sigma < np.inf:
+        known = "unknown" if np.isnan(sigma) else f"{sigma:g}"
+        return f"{value:z.3f} ± {known} {unit}".rstrip()
+    place = 1 - int(f"{sigma:.1e}".partition("e")[2])  # of the second digit, after the point
+    digits = f"z.{max(place, 0)}f"
+    return f"{round(value, place):{digits}} ± {round(sigma, place):{digits}} {unit}".rstrip()
+
+
+def html_table(rows: Iterable[Sequence[object]], headings: Sequence[str] = ()) -> str:
+    """A table as notebooks show it, in HTML.
+
+    Parameters
+    ----------
+    rows : iterable, cells, one a column
+    headings : sequence, one a column, or none
+    """
+    lines = [("td", row) for row in rows]
+    if headings:
+        lines.insert(0, ("th", headings))
+    cells = ("".join(f"<{tag}>{escape(str(one))}</{tag}>" for one in line) for tag, line in lines)
+    return f"<table>{''.join(f'<tr>{line}</tr>' for line in cells)}</table>"
+
+
+def _in_words(status: NDArray[np.integer], sigma: Mapping[str, Floats], unit: str) -> str:
+    """How many points there are of each status, and the median of their sigmas by name."""
+    words = ", ".join(f"{count} {name}" for name, count in status_counts(status).items())
+    if not (valued := has_value(status)).any():
+        return words or "none"
+    medians = ", ".join(f"{name} ± {np.median(of[valued]):.2g}" for name, of in sigma.items())
+    return f"{words}; {medians} {unit} (median)"
+
+
 @dataclass(frozen=True)
 class Frame:
     """One picture and where the head stood when it was taken.
@@ -142,6 +195,10 @@ class Frame:
     exposure_ms: float
     background: Picture | None = None
 
+    def __repr__(self) -> str:
+        size = f"{self.image.shape[1]} x {self.image.shape[0]} px, {self.image.dtype}"
+        return f"<Frame {self.index} at {self.position_mm:g} mm: {size}, {self.exposure_ms:g} ms>"
+
 
 @dataclass(frozen=True)
 class Marks:
@@ -159,6 +216,9 @@ class Marks:
     image_px: Floats
     sigma_px: Floats
     status: Ints
+
+    def __repr__(self) -> str:
+        return f"<Marks: {_in_words(self.status, {'u and v': self.sigma_px}, 'px')}>"
 
     @property
     def found(self) -> Mask:
@@ -243,6 +303,11 @@ class BoardReading:
     dots: dict[str, Mark] = field(default_factory=dict)
     rings: dict[str, RingPoints] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        (width, height), found = self.image_size, self.grid.found
+        named = f"{len(self.dots)} named, {len(self.rings)} rings"
+        return f"<BoardReading, {width} x {height} px: {found.sum()} of {len(found)} dots, {named}>"
+
 
 @dataclass(frozen=True)
 class Stripe:
@@ -275,6 +340,9 @@ class Stripe:
     status: Ints
     flux: Floats | None = None
 
+    def __repr__(self) -> str:
+        return f"<Stripe, {self.axis}: {_in_words(self.status, {'centre': self.sigma_px}, 'px')}>"
+
     @property
     def image_px(self) -> Floats:
         """(N, 2) of (u, v) in px, NaN where there is no line."""
@@ -303,6 +371,13 @@ class PlanePoints:
     status: Ints
     modes_mm: Floats | None = None
 
+    def __repr__(self) -> str:
+        return f"<PlanePoints: {_in_words(self.status, self._sigma_mm, 'mm')}>"
+
+    @property
+    def _sigma_mm(self) -> dict[str, Floats]:
+        return dict(zip("xz", self.sigma_mm.T, strict=True))
+
 
 @dataclass(frozen=True)
 class Profile:
@@ -328,6 +403,10 @@ class Profile:
     position_mm: float
     points: PlanePoints
     brightness: Floats
+
+    def __repr__(self) -> str:
+        points = _in_words(self.points.status, self.points._sigma_mm, "mm")
+        return f"<Profile at {self.position_mm:g} mm: {points}>"
 
 
 @dataclass(frozen=True)
@@ -396,6 +475,36 @@ class Surface:
     yaw_sigma_rad: float | None = None
     provenance: Provenance | None = None
 
+    def __repr__(self) -> str:
+        return f"<Surface, {self._size}: {_in_words(self.status, self._sigma_mm, 'mm')}>"
+
+    def _repr_html_(self) -> str:
+        valued, made = has_value(self.status), self.provenance
+        rows = [("size", self._size), *status_counts(self.status).items()]
+        for name, of in zip("xyz", np.moveaxis(self.xyz_mm[valued], -1, 0), strict=True):
+            if of.size:
+                sigma = self._sigma_mm.get(name)
+                about = "" if sigma is None else f", ± {np.median(sigma[valued]):.2g} mm (median)"
+                rows.append((name, f"{of.min():.2f} to {of.max():.2f} mm{about}"))
+        rows += [("corrected for", what) for what in self.corrections]
+        if self.yaw_rad is not None and self.yaw_sigma_rad is not None:
+            yaw_deg, sigma_deg = np.degrees([self.yaw_rad, self.yaw_sigma_rad]).tolist()
+            rows.append(("yaw", plus_minus(yaw_deg, sigma_deg, "deg")))
+        if made is not None:
+            what = f"{made.pictures} pictures of {made.rig}, {made.extractor}, {made.plane_map}"
+            rows.append(("made from", what))
+        return html_table(rows)
+
+    @property
+    def _size(self) -> str:
+        profiles, columns = self.status.shape
+        return f"{profiles} profiles x {columns} columns, frame of the {self.frame}"
+
+    @property
+    def _sigma_mm(self) -> dict[str, Floats]:
+        of = {"x": self.sigma_x_mm, "y": self.sigma_y_mm, "z": self.sigma_z_mm}
+        return {name: sigma for name, sigma in of.items() if sigma is not None}
+
 
 @dataclass(frozen=True)
 class Length:
@@ -418,9 +527,11 @@ class Length:
 
     def __str__(self) -> str:
         """Measured and nominal length in words, sigma with two digits."""
-        digits = 3 if self.sigma_mm < 0.1 else 2
-        sigma = "unknown" if np.isnan(self.sigma_mm) else f"{self.sigma_mm:.{digits}f}"
-        return f"{self.measured_mm:.{digits}f} ± {sigma} mm, nominal {self.nominal_mm:g} mm"
+        measured = plus_minus(self.measured_mm, self.sigma_mm, "mm")
+        return f"{measured}, nominal {self.nominal_mm:g} mm"
+
+    def __repr__(self) -> str:
+        return f"<Length {self}>"
 
     @property
     def error_mm(self) -> float:

@@ -21,7 +21,7 @@ from lscan.camera.resection import MEDIAN, pixel_derivatives
 from lscan.config.plugins import others_versions
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import BoardNotFound, InputError
-from lscan.records import BoardReading, Floats, Ints, Mask, Progress
+from lscan.records import BoardReading, Floats, Ints, Mask, Progress, html_table, plus_minus
 from lscan.version import __version__
 
 # Marks that do not lie where all the others predict them: outliers of a board reading.
@@ -195,6 +195,18 @@ class Calibration:
     optics: OpticsSection
     software: str
     outliers_mm: Floats = field(default_factory=lambda: np.empty((0, 2)))
+
+    def __repr__(self) -> str:
+        return f"<Calibration {self.name}: {self._fit}>"
+
+    def _repr_html_(self) -> str:
+        known = [(name, plus_minus(*of)) for name, of in self.quantities().items()]
+        return html_table([(self.name, self._fit), *known])
+
+    @property
+    def _fit(self) -> str:
+        found = self.reading.grid.found
+        return f"{found.sum()} of {len(found)} dots, {self.rms_mm:.3f} mm rms"
 
     @property
     def image_size(self) -> tuple[int, int]:

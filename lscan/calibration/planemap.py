@@ -354,6 +354,9 @@ class SolvedMap(Strict, ABC):
     """What the smooth map through the same marks estimates, and (N, 2 K) by which errors of the
     board displace points (spline.with_hidden_errors)."""
 
+    def __repr__(self) -> str:
+        return f"<PlaneMap {self.name}>"
+
     @property
     def name(self) -> str:
         """Full name, family and variant."""

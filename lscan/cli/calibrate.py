@@ -26,6 +26,7 @@ from lscan.config.rig import Known, inline_board
 from lscan.files.disk import write_atomically
 from lscan.files.pictures import write_picture
 from lscan.pipeline import find_shaft
+from lscan.records import plus_minus
 from lscan.surface.shaft import save_shaft, section_of
 
 BoardFile = Annotated[Path | None, Option(help="Board file; a run folder has its own.")]
@@ -161,11 +162,12 @@ def _check_words(
     yield f"{check.marks} marks compared, {check.without_value} outside the calibration"
     yield f"as they are: {check.raw_rms_mm:.3f} mm rms, {check.raw_max_mm:.3f} mm at most"
     yield (
-        f"board put back with a shift of {x:.3f} ± {x_sigma:.3f} mm in x, {z:.3f} ± "
-        f"{z_sigma:.3f} mm in z and a turn of {check.turn_deg:.4f} ± {check.turn_sigma_deg:.4f} deg"
+        f"board put back with a shift of {plus_minus(x, x_sigma, 'mm')} in x, "
+        f"{plus_minus(z, z_sigma, 'mm')} in z and a turn of "
+        f"{plus_minus(check.turn_deg, check.turn_sigma_deg, 'deg')}"
     )
     yield f"without those: {check.rms_mm:.3f} mm rms, {check.max_mm:.3f} mm at most"
-    yield f"scale error {1e6 * check.scale_error:.0f} ± {1e6 * check.scale_sigma:.0f} ppm"
+    yield f"scale error {plus_minus(1e6 * check.scale_error, 1e6 * check.scale_sigma, 'ppm')}"
     yield f"chi-square {check.chi_square:.0f} for {check.degrees_of_freedom} degrees of freedom"
     rows = [[mark.name, *mark.residual_mm, f"{mark.ratio:.1f}"] for mark in check.worst]
     yield table("farthest off", ["mark", "x mm", "z mm", "sigmas"], rows)
@@ -173,7 +175,7 @@ def _check_words(
     yield f"the calibration {verdict} (chance of a false alarm {100 * check.level:g} %)"
     if (index := check.index) is not None:
         yield (
-            f"index of the water that fits best: {index.index:.5f} ± {index.sigma:.5f}, "
+            f"index of the water that fits best: {plus_minus(index.index, index.sigma)}, "
             f"chi-square {index.chi_square:.0f}"
         )
     if kinds and update is not None:
@@ -238,10 +240,9 @@ def calibrate_metric(
         lines = sum(view.line_used for view in calibration.views)
         off = f"{calibration.line_rms_mm:.3f} mm rms off the sheet"
         sheet = calibration.plane_map.quantities()
-        content["found"], (away, about) = _known_json(sheet), sheet["sheet_distance_mm"]
-        words = f"metric: {used}; {lines} lines, {off}; sheet {away:.1f} ± {about:.2g} mm away"
-    focal, sigma = calibration.theta[0], calibration.sigma[0]
-    words += f"; focal length {focal:.1f} ± {sigma:.1f} px"
+        content["found"], away = _known_json(sheet), plus_minus(*sheet["sheet_distance_mm"], "mm")
+        words = f"metric: {used}; {lines} lines, {off}; sheet {away} away"
+    words += f"; focal length {plus_minus(calibration.theta[0], calibration.sigma[0], 'px')}"
     pairs = zip(calibration.theta, calibration.sigma, strict=True)
     content["camera"] = _known_json(dict(zip(CAMERA, pairs, strict=True)))
     stated = contradiction(calibration.theta, optics, size, k3)

@@ -10,7 +10,9 @@ from collections import UserDict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from functools import wraps
+from glob import escape, glob
 from importlib import resources
+from inspect import signature
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -21,7 +23,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 from typer.core import TyperGroup
+from typer.models import ArgumentInfo, OptionInfo
 
+from lscan.config.scenes import scene_names
 from lscan.devices.signals import ignore_stop_signals, interrupted_by_signals, on_stop_signals
 from lscan.errors import InputError, LscanError, Stopped, missing_package
 from lscan.files.cache import long_work_shown
@@ -54,6 +58,35 @@ def keep_freed_memory() -> None:
         return
     mallopt(_MMAP_THRESHOLD, _LARGEST_BYTES)
     mallopt(_TRIM_THRESHOLD, _KEPT_BYTES)
+
+
+# The names that a shell offers for an argument or an option.
+
+
+def _rigs(typed: str) -> list[str]:
+    """Scenes of lscan, and TOML files that begin with what is typed."""
+    return [*scene_names(), *glob(f"{escape(typed)}*.toml")]  # noqa: PTH207 - "./" stays as typed
+
+
+def _installed(group: str) -> tuple[str, ...]:
+    """Names of a group's entry points."""
+    from lscan.config.plugins import installed  # reads all packages: not for every help
+
+    return installed(group)
+
+
+MAP_NAMES = [
+    *(f"graticule-{kind}{end}" for kind in ("1", "2", "bspline") for end in ("", "-norulers")),
+    *(f"polynomial-{degree}" for degree in range(1, 10)),
+    *("auto", "projective", "spline", "refractive"),
+]
+COMPLETED: dict[str, Callable[..., Sequence[str]]] = {
+    **dict.fromkeys(("rig", "scene", "scenes", "--rig"), _rigs),
+    **dict.fromkeys(("named", "--extractor"), lambda: _installed("lscan.extractors")),
+    "--plane_map": lambda: MAP_NAMES,
+    "kind": lambda: _installed("lscan.userfiles"),
+}
+"""By the parameter of a command's function; that of an option begins with dashes."""
 
 
 # A command line: its commands, each loaded when it is called, and one clear line for an error.
@@ -100,6 +133,11 @@ def _declared_command(place: str) -> Callable[..., None]:
     tree.body = [part for part in tree.body if part in needed]
     names: dict[str, Any] = {"__name__": module}
     exec(compile(tree, module, "exec"), names)
+    for name, parameter in signature(names[function]).parameters.items():
+        for info in (parameter.default, *getattr(parameter.annotation, "__metadata__", ())):
+            if isinstance(info, ArgumentInfo | OptionInfo):
+                key = name if isinstance(info, ArgumentInfo) else f"--{name}"
+                info.autocompletion = COMPLETED.get(key)
 
     @wraps(names[function])
     def call(**given: Any) -> None:
@@ -149,7 +187,6 @@ def command_line(about: str, places: Mapping[str, str] | None = None) -> typer.T
         cls=Group,
         help=about,
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )

@@ -34,6 +34,7 @@ from lscan.devices.trials import (
 )
 from lscan.errors import InputError
 from lscan.files.disk import json_text, make_folder, read_text, write_atomically
+from lscan.records import plus_minus
 
 
 def devices(
@@ -204,13 +205,13 @@ def _camera_lines(camera: CameraTrial) -> Iterator[str | Table]:
 
 def _transfer_line(transfer: PhotonTransfer) -> str:
     """What the photon transfer of a camera is, in words."""
-    read = f"{transfer.read_dn:.3f} ± {transfer.read_sigma_dn:.3f} DN"
+    read = plus_minus(transfer.read_dn, transfer.read_sigma_dn, "DN")
     if transfer.read_is_rounding:
         # The noise of rounding is a floor, not a figure of this camera.
         read = f"at most {transfer.read_at_most_dn:.3f} DN (rounding makes {transfer.read_dn:.3f})"
     return (
         f"photon transfer: read noise {read}, "
-        f"gain {transfer.dn_per_electron:.4f} ± {transfer.gain_sigma:.4f} DN per electron, "
+        f"gain {plus_minus(transfer.dn_per_electron, transfer.gain_sigma)} DN per electron, "
         f"chi² {transfer.chi2:.2f} per degree of freedom (about 1 for a linear camera)"
     )
 

@@ -375,6 +375,9 @@ class RigFile:
     document: Document
     source: str
 
+    def __repr__(self) -> str:
+        return f"<RigFile {self.source!r}: {self.rig.name!r}>"
+
     def section(self, name: str) -> Document:
         """A driver's own section of the document, {} where the file has none.
 

@@ -603,6 +603,11 @@ class SliceErrors:
     unseen: int
     at_step: int
 
+    def __str__(self) -> str:
+        """The errors in words."""
+        ends = f"{self.min_mm:.3f} to {self.max_mm:.3f} mm"
+        return f"{self.rmse_mm:.3f} mm rms, {ends}, of {self.points} points"
+
     @property
     def rmse_mm(self) -> float:
         """Root of the mean squared error, mm."""

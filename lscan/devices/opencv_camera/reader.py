@@ -3,6 +3,7 @@
 import itertools
 import logging
 import os
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -32,9 +33,16 @@ _log = logging.getLogger(__name__)
 def open_capture(options: OpencvOptions) -> Capture:
     """The OpenCV capture that ``options`` names, opened or not.
 
-    Raises DeviceError for a stream whose pictures are late by an unknown time.
+    Raises DeviceError for a stream whose pictures are late by an unknown time, and for a camera of
+    libcamera or a pipeline where OpenCV was built without GStreamer, as it is for pip.
     """
     _silence_libraries()
+    pipeline = re.search(r"^libcamera|^/base/| ! ", str(options.device))
+    if pipeline and not cv2.videoio_registry.hasBackend(cv2.CAP_GSTREAMER):
+        raise DeviceError(
+            f"{options.name}: this OpenCV has neither libcamera nor GStreamer; let the camera send "
+            "an MJPEG stream (picamera2, rpicam-vid), and state camera.options.url"
+        )
     if options.device is not None:
         if isinstance(options.device, int):
             return cv2.VideoCapture(options.device)

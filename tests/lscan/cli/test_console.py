@@ -1,5 +1,6 @@
 """What the command lines show: whole help, names of strangers as they are, words for nothing."""
 
+import os
 import re
 import subprocess
 import sys
@@ -12,16 +13,19 @@ from types import ModuleType
 import pytest
 import typer
 from command_line import call
+from places import ROOT
 from typer.core import TyperGroup
 
 import lscan.cli.app
 import sim.cli.app
 from lscan.calibration.planemap import find_solver
 from lscan.cli import console
-from lscan.cli.console import EXTRACTORS, MAPS, note, progress_bar, show, table
+from lscan.cli.console import EXTRACTORS, MAP_NAMES, MAPS, note, progress_bar, show, table
 from lscan.config.scenes import scene_about, scene_names, spec_names
 from lscan.records import Length
 from sim.cli.app import STUDIES
+
+APPS = {"lscan": lscan.cli.app.app, "lscan-sim": sim.cli.app.app}
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
@@ -78,13 +82,69 @@ print({name for name in sys.modules if name.startswith(("lscan.cli.", "sim.cli."
 def test_help_names_all_extractors_maps_and_studies() -> None:
     known = {one.name for one in entry_points(group="lscan.extractors")}
     assert set(re.findall(r"[a-z-]+", EXTRACTORS.partition(";")[0])) == known
-    for name in ("graticule-1", "graticule-2", "graticule-bspline-norulers", "polynomial-9"):
+    for name in MAP_NAMES:
         find_solver(name)
     families = {one.name for one in entry_points(group="lscan.planemaps")} - {"auto", "metric"}
     assert set(re.findall(r"graticule|polynomial|projective|spline\b|refractive", MAPS)) == families
     assert STUDIES.split(", ") == spec_names("study")
     assert spec_names("data set") == ["stripes"]
     assert spec_names("suite") == ["chains", "full", "quick"]
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("lscan che", {"check"}),
+        ("lscan scan paper/gr", {"paper/groove"}),
+        ("lscan live my-", {"my-rig.toml"}),
+        ("lscan devices ./my", {"./my-rig.toml"}),
+        ("lscan extract --extractor centroid-", {"centroid-relative", "centroid-squared"}),
+        ("lscan calibrate --map a", {"auto"}),
+        ("lscan bench --map polynomial-", {f"polynomial-{degree}" for degree in range(1, 10)}),
+        ("lscan schema s", {"scene", "shapes", "study", "suite"}),
+        ("lscan extract --axis c", set()),  # the shell then offers files
+        ("lscan-sim render paper/gr", {"paper/groove"}),
+        ("lscan-sim serve board.toml my", {"my-rig.toml"}),
+    ],
+)
+def test_a_shell_is_offered_names(
+    words: str, offered: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    (tmp_path / "my-rig.toml").touch()
+    monkeypatch.chdir(tmp_path)
+    program, *rest = words.split()
+    monkeypatch.setenv(f"_{program.upper().replace('-', '_')}_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(len(rest)))
+    with pytest.raises(SystemExit) as left:
+        typer.main.get_command(APPS[program]).main([], prog_name=program)
+    assert left.value.code == 0
+    assert set(capsys.readouterr().out.split()) == offered
+
+
+def test_bash_completes_by_the_line_that_the_tutorial_gives(tmp_path: Path) -> None:
+    """By bash itself, as it calls the function that the line declares, in a process of its own."""
+    program = tmp_path / "lscan-sim"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m sim.cli.app "$@"\n')
+    program.chmod(0o755)
+    page = (ROOT / "docs/tutorials/first-scan.md").read_text(encoding="utf-8")
+    line = re.search(r"`(eval .*source_bash lscan.*)` \|$", page, re.MULTILINE)
+    assert line is not None
+    script = f"""
+{line[1].replace("_LSCAN_", "_LSCAN_SIM_").replace(" lscan)", " lscan-sim)")}
+complete -p lscan-sim | grep -q -- '-F _lscan_sim_completion lscan-sim$' || exit 1
+COMP_WORDS=(lscan-sim check paper/gr) COMP_CWORD=2
+_lscan_sim_completion lscan-sim
+printf '%s\\n' "${{COMPREPLY[@]}}"
+"""
+    environment = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["bash", "--norc", "-c", script],
+        env=environment, cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    assert done.stdout == "paper/groove\n"
+    assert done.stderr == ""
 
 
 def test_every_scene_is_described(capsys: pytest.CaptureFixture[str]) -> None:

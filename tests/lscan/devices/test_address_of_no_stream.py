@@ -1,7 +1,7 @@
 """An address that sends a picture, a page or noise is distinguished from a camera that is gone."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from http.server import BaseHTTPRequestHandler
 from typing import Any
 
@@ -11,7 +11,7 @@ import pytest
 from loopback import listening
 
 from lscan.config.rig import CameraSection
-from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions
+from lscan.devices.opencv_camera import OpencvCamera, OpencvOptions, open_capture
 from lscan.errors import DeviceError
 
 WIDTH_PX, HEIGHT_PX = 64, 48
@@ -54,6 +54,22 @@ def refusal_of(url: str) -> str:
     assert message.startswith(f"camera opencv ({url}): ")
     assert "\n" not in message
     return message
+
+
+@pytest.mark.parametrize(
+    "device",
+    ["libcamerasrc ! videoconvert ! appsink", "libcamera", "/base/soc/i2c0mux/i2c@1/imx708@1a"],
+)
+def test_a_pipeline_is_refused_where_there_is_no_gstreamer(
+    device: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = []
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *how: opened.append(how))
+    for known in (False, True):  # as in the OpenCV of pip; in one built with it
+        monkeypatch.setattr(cv2.videoio_registry, "hasBackend", lambda _, known=known: known)
+        with nullcontext() if known else pytest.raises(DeviceError, match=r"MJPEG.*options\.url"):
+            open_capture(OpencvOptions(device=device))
+    assert opened == [(device, cv2.CAP_ANY)]
 
 
 @pytest.mark.parametrize("name", ["stream", "snapshot.jpg"])

@@ -1,6 +1,7 @@
 """Streams of JPEG pictures: their true size, whole files only, and no backlog."""
 
 import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -313,6 +314,31 @@ MULTIPART = "multipart/x-mixed-replace; boundary=part"
 def camera_at(url: str, **options: Any) -> OpencvCamera:
     section = CameraSection(driver="opencv", width_px=SIZE_PX[0], height_px=SIZE_PX[1])
     return OpencvCamera(section, OpencvOptions(url=url, timeout_s=120, **options))
+
+
+def test_without_lengths_a_picture_comes_when_the_next_begins() -> None:
+    """As rpicam-vid sends JPEG files over TCP, one after the other: hence flush_frames of 3."""
+    served = _Served()
+
+    def send(listener: socket.socket) -> None:
+        connection, _ = listener.accept()
+        with connection, suppress(OSError):  # the reader has gone
+            for number in range(1, 1 << BITS):
+                connection.sendall(jpeg(picture(number)))
+                served.count = number
+                time.sleep(served.period_s)
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=send, args=(listener,), daemon=True).start()
+        url = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
+        capture = open_capture(OpencvOptions(url=url, timeout_s=120))
+        assert isinstance(capture, JpegStream)
+        for _ in range(5):
+            ok, image = capture.read()
+            number = number_of(image)
+            assert ok and served.count >= number  # so the next had been begun
+            assert np.array_equal(image, decode_jpeg(jpeg(picture(number))))
+        capture.release()
 
 
 def test_a_size_that_changes_in_mid_stream_is_refused() -> None:
