@@ -87,7 +87,7 @@ def _listing_lines(listing: dict[str, Any]) -> Iterator[str | Table]:
             yield f"{camera.device} is also {name}, whatever its number becomes"
     else:
         yield "cameras: none found"
-    if industrial := listing["genicam_cameras"]:
+    if industrial := listing.get("genicam_cameras"):
         rows = [[name, model] for name, model in industrial.items()]
         yield table("GenICam cameras", ["address or serial", "maker and model"], rows)
     if ports := listing["serial_ports"]:

@@ -257,12 +257,12 @@ def test_bad_input_that_needs_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     text, flat = tmp_path / "text.png", tmp_path / "flat.png"
     text.write_text("not a picture")
     cv2.imwrite(str(flat), np.full((40, 60), 90, np.uint8))
-    deep = tmp_path / "deep.png"
-    cv2.imwrite(str(deep), np.zeros((8, 8), np.uint16))
+    deep = tmp_path / "deep.tif"
+    cv2.imwrite(str(deep), np.zeros((8, 8), np.float32))
     board = SCENES / "calibration-board.toml"
 
     refused(call(capsys, "calibrate", text, "--board", board, "-o", out), "text.png", "picture")
-    refused(call(capsys, "calibrate", deep, "--board", board, "-o", out), "deep.png", "16 bit")
+    refused(call(capsys, "calibrate", deep, "--board", board, "-o", out), "deep.tif", "32 bit")
     refused(call(capsys, "calibrate", flat, "-o", out), "--board")
     pink = ["calibrate", flat, "--board", board, "-o", out, "--channel", "pink"]
     refused(call(capsys, *pink), "lscan: --channel: must be 'red'", "pink")
@@ -273,14 +273,14 @@ def test_bad_input_that_needs_nothing(tmp_path: Path, capsys: pytest.CaptureFixt
     refused(call(capsys, "calibrate", tmp_path, "-o", out), "run.json")
     refused(call(capsys, "calibrate", tmp_path / "nosuch", "-o", out), "no such file or folder")
     refused(call(capsys, "extract", tmp_path / "none.png"), "none.png")
-    refused(call(capsys, "extract", flat, "--background", deep), "deep.png")
+    refused(call(capsys, "extract", flat, "--background", deep), "deep.tif")
     refused(call(capsys, "extract", flat, "--axis", "diagonal"), "axis", "diagonal")
     refused(call(capsys, "scan", tmp_path / "none.toml", "-o", out), "none.toml")
     refused(call(capsys, "scan", text, "-o", out), "text.png", "TOML")
     refused(call(capsys, "scan"), "argument")
     refused(call(capsys, "extract", flat, "--span", "two"), "--span")
     refused(call(capsys, "unheard-of"), "unheard-of")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["deep.png", "flat.png", "text.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["deep.tif", "flat.png", "text.png"]
 
 
 @pytest.mark.parametrize(
