@@ -26,7 +26,14 @@ from lscan.calibration.calibrationfile import save_calibration
 from lscan.cli.console import run_command_line
 from lscan.errors import InputError, missing_package
 from lscan.files.containers import open_zip
-from lscan.files.disk import LOCK, lock_folder, open_to_append, sync_folder, write_atomically
+from lscan.files.disk import (
+    LOCK,
+    lock_folder,
+    open_to_append,
+    read_bytes,
+    sync_folder,
+    write_atomically,
+)
 from lscan.live import server
 from lscan.surface import load_surface
 
@@ -168,6 +175,22 @@ def test_a_file_that_stays_open_is_not_waited_for_without_end(
         write_atomically(tmp_path / "run.json", b"new")
     assert sum(refused.slept_s) <= longest_s
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"run.json": "old"}
+
+
+def test_no_line_end_is_translated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Windows does in files that are not opened as binary."""
+    binary, opened, really = windows.O_BINARY, list[int](), os.open
+
+    def spied(path: Path, flags: int, mode: int = 0o777) -> int:
+        opened.append(flags)
+        return really(path, flags & ~binary, mode)
+
+    monkeypatch.setattr(os, "O_BINARY", binary, raising=False)
+    monkeypatch.setattr(os, "open", spied)
+    write_atomically(tmp_path / "frames.csv", b"index\r\n")
+    assert read_bytes(tmp_path / "frames.csv", 10) == b"index\r\n"
+    os.close(open_to_append(tmp_path / "frames.csv"))
+    assert len(opened) == 4 and all(flags & binary for flags in opened)
 
 
 def test_a_link_is_not_appended_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
