@@ -122,7 +122,7 @@ clean:
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps \
 		--no-build-isolation --editable .
 	@# By all cores, which pip does by one; some packages hold files of other versions of Python.
-	@$(BIN)/python -m compileall -qq -j 0 -x '/tests/' .venv/lib || true
+	@$(BIN)/python -W ignore -m compileall -qq -j 0 -x '/tests/' .venv/lib || true
 	@# What numba compiles it keeps beside the module, once for all processes that follow.
 	@echo "compiling what reads pictures (half a minute)"
 	@$(BIN)/python -c "from lscan.pipeline import compile_loops; compile_loops()"

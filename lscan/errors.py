@@ -1,5 +1,7 @@
 """What lscan raises: one clear line that names what, where, the value and what is allowed."""
 
+import sys
+
 
 class LscanError(Exception):
     """Base of every error a user may meet; its text is one line fit for the screen.
@@ -83,6 +85,11 @@ def missing_package(error: ModuleNotFoundError) -> str:
     ----------
     error : ModuleNotFoundError, of the import
     """
+    if error.name in sys.stdlib_module_names:
+        return (
+            f"needs Python's module {error.name}, which this system has not: Linux and macOS have, "
+            "Windows has not; install it in WSL there"
+        )
     return (
         f"needs the package {error.name}, which is not installed; "
         "what the tank needs is installed by pip install 'lscan[tank]'"

@@ -20,7 +20,6 @@ from packaging.version import Version
 from places import ROOT, tracked
 
 import lscan
-import lscan.cli
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MODULES = [
@@ -352,18 +351,6 @@ def test_a_program_says_its_version(
     with pytest.raises(SystemExit) as left:
         main()
     assert (left.value.code, capsys.readouterr().out) == (0, f"{name} {lscan.__version__}\n")
-
-
-def test_a_system_without_file_locks_is_told_so_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As Windows is: the programs' modules import lscan.cli before all others."""
-    monkeypatch.setitem(sys.modules, "fcntl", None)
-    with pytest.raises(SystemExit) as left:
-        importlib.reload(lscan.cli)
-    said = capsys.readouterr().err
-    assert left.value.code == 2
-    assert said.startswith("lscan: needs Linux") and said.count("\n") == 1
 
 
 ENTRY_POINTS = [

@@ -39,6 +39,7 @@ from lscan.config.rig import RigFile
 from lscan.devices.api import Camera, Identified
 from lscan.errors import InputError, LscanError
 from lscan.files.disk import (
+    LOCK,
     append_synced,
     cut_torn_line,
     disk_errors,
@@ -319,7 +320,7 @@ def holds_no_run(path: Path) -> bool:
         return True
     names = list_names(path)
     frames = list_names(path / FRAMES) if FRAMES in names else set()
-    early = (FRAMES, TABLE, f".{TABLE}*.tmp", f".{MANIFEST}*.tmp")
+    early = (FRAMES, TABLE, LOCK, f".{TABLE}*.tmp", f".{MANIFEST}*.tmp")
     return not frames and all(any(fnmatch(name, one) for one in early) for name in names)
 
 

@@ -140,7 +140,8 @@ def judge_shared(
     # None is forked: threads of OpenCV and BLAS may hold locks.  Ctrl-C, which a terminal sends to
     # all of them, is left to the one that ends the others.
     spawned, no_ctrl_c = get_context("spawn"), (signal.SIGINT, signal.SIG_IGN)
-    with ProcessPoolExecutor(os.cpu_count(), spawned, signal.signal, no_ctrl_c) as pool:
+    processes = min(os.cpu_count() or 1, 61)  # Windows waits for no more
+    with ProcessPoolExecutor(processes, spawned, signal.signal, no_ctrl_c) as pool:
         yield chain.from_iterable(pool.map(partial(_judge_group, path, named), groups))
 
 

@@ -13,6 +13,7 @@ from functools import wraps
 from glob import escape, glob
 from importlib import resources
 from inspect import signature
+from io import TextIOWrapper
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Annotated, Any, NoReturn, TypeVar
@@ -239,6 +240,8 @@ def run_command_line(app: typer.Typer, name: str) -> None:
     """
     command = typer.main.get_command(app)
     keep_freed_memory()
+    if isinstance(sys.stdout, TextIOWrapper):  # of a code page without "≤", as on Windows
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with long_work_shown(progress_bar):
             code = command.main(prog_name=name, standalone_mode=False)

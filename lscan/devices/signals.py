@@ -16,6 +16,7 @@ def _known_signals(*names: str) -> tuple[int, ...]:
 STOPPING = _known_signals(
     *("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT"),  # Ctrl-C, kill, the terminal goes, Ctrl-\
     *("SIGUSR1", "SIGUSR2", "SIGXCPU", "SIGPWR"),  # batch systems, limits, a UPS
+    "SIGBREAK",  # Ctrl-Break on Windows
 )
 """What others send to end a program, as far as it can be handled.  SIGKILL cannot."""
 

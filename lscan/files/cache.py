@@ -22,8 +22,11 @@ def cache_folder() -> Path | None:
 
     It is ``lscan`` in $XDG_CACHE_HOME, or in ~/.cache; without HOME it lies in the temporary
     folder, which all users share, under the user's number.  In any place it is the user's own, and
-    nobody else may look into it or write there: what it keeps is believed.
+    nobody else may look into it or write there: what it keeps is believed.  On Windows, where that
+    cannot be asked so, there is none.
     """
+    if not hasattr(os, "getuid"):
+        return None
     home, shared = os.environ.get("HOME"), Path(tempfile.gettempdir(), f"lscan-{os.getuid()}")
     above = os.environ.get("XDG_CACHE_HOME") or (home and f"{home}/.cache")
     folder = Path(above, "lscan") if above else shared
@@ -48,7 +51,7 @@ def read_cached(file: Path, most: int) -> bytes | None:
     most : int, its largest size, bytes
     """
     with suppress(InputError, OSError):
-        if file.stat().st_uid == os.getuid():
+        if hasattr(os, "getuid") and file.stat().st_uid == os.getuid():
             return read_bytes(file, most)
     return None
 

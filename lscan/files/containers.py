@@ -189,7 +189,11 @@ class _PartlyRead(io.RawIOBase):
         size = self._size - self._place if size < 0 else size
         if size > MOST_AT_ONCE:
             raise ValueError(f"{size} bytes at once")
-        data = os.pread(self._stream.fileno(), size, self._place)
+        if hasattr(os, "pread"):
+            data = os.pread(self._stream.fileno(), size, self._place)
+        else:  # Windows, where no process is forked, and so none shares this one's place
+            self._stream.seek(self._place)
+            data = self._stream.read(size)
         self._place += len(data)
         return data
 

@@ -3,17 +3,20 @@
 Reading: what is given may come from a stranger.  A FIFO would be waited for without end, a device
 read without end; so only regular files are read, and no more of them than is allowed.
 Writing: a crash or a full disk at any moment leaves no half file behind, and no link is followed.
+What Windows lacks of POSIX is met here: flags of ``open``, folders that are locked and synced.
 """
 
 import codecs
 import errno
-import fcntl
 import hashlib
+import importlib
 import json
 import os
 import secrets
 import shutil
 import stat
+import sys
+import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -53,6 +56,10 @@ _FULL_OR_FAILED = frozenset(
 )
 
 _TEMPORARIES = f".*.{'[0-9a-f]' * 8}.tmp"
+
+LOCK = ".lock"
+"""What holds the lock of a folder where the folder itself cannot be locked, as on Windows."""
+_TRIES, _TRIED_EVERY_S = 50, 0.02
 
 MOST_TEXT_BYTES = 2**20
 """Of a file that is written by hand, and of a run.json, which keeps one."""
@@ -108,7 +115,7 @@ def open_regular(file: Path, most: int, within: Path | None = None) -> BufferedR
         # Looked at before it is opened, since opening alone wakes some devices, and again after,
         # since it may have been replaced.
         _require_regular(file.stat(), file, most)
-        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+        descriptor = os.open(file, _flags("RDONLY", "NONBLOCK", "NOCTTY", "CLOEXEC"))
         opened = os.fdopen(descriptor, "rb")
     try:
         _require_regular(os.fstat(descriptor), file, most)
@@ -311,14 +318,14 @@ def new_file(file: Path) -> Iterator[int]:
     temporary = file.parent / temporary_name(file.name)
     with disk_errors(file):
         try:
-            new = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+            new = _flags("WRONLY", "CREAT", "EXCL", "NOFOLLOW")
             descriptor = os.open(temporary, new, 0o666)
             try:
                 yield descriptor
                 os.fsync(descriptor)
             finally:
                 os.close(descriptor)
-            temporary.replace(file)
+            _replace(temporary, file)
         except BaseException:
             with suppress(OSError):
                 temporary.unlink()
@@ -364,7 +371,9 @@ def open_to_append(file: Path) -> int:
         The file is a link, or cannot be opened.
     """
     with disk_errors(file):
-        return os.open(file, os.O_WRONLY | os.O_APPEND | os.O_NOFOLLOW)
+        if file.is_symlink():  # for systems without O_NOFOLLOW
+            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        return os.open(file, _flags("WRONLY", "APPEND", "NOFOLLOW"))
 
 
 def cut_torn_line(file: Path, most: int) -> None:
@@ -393,7 +402,9 @@ def cut_torn_line(file: Path, most: int) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make new and renamed entries of a folder safe from a power failure.
+    """Make new and renamed entries of a folder safe from a power failure, as far as the system can.
+
+    Windows opens no folder, and so syncs none.
 
     Parameters
     ----------
@@ -404,7 +415,9 @@ def sync_folder(folder: Path) -> None:
     OSError
         The disk refuses; ``disk_errors`` translates it.
     """
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    if not hasattr(os, "O_DIRECTORY"):
+        return
+    descriptor = os.open(folder, _flags("RDONLY", "DIRECTORY"))
     try:
         os.fsync(descriptor)
     finally:
@@ -413,6 +426,8 @@ def sync_folder(folder: Path) -> None:
 
 def lock_folder(folder: Path, writer: str = "scan") -> int:
     """Descriptor of a folder, locked; closing it, or the process's end, frees the lock.
+
+    On Windows, which opens no folder, it is of the file LOCK in it, which stays.
 
     Parameters
     ----------
@@ -426,9 +441,12 @@ def lock_folder(folder: Path, writer: str = "scan") -> int:
         locks, as some of networks have none.
     """
     with disk_errors(folder):
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        if hasattr(os, "O_DIRECTORY"):
+            descriptor = os.open(folder, _flags("RDONLY", "DIRECTORY"))
+        else:
+            descriptor = os.open(folder / LOCK, _flags("RDWR", "CREAT"))
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _lock(descriptor)
     except OSError as error:
         os.close(descriptor)
         if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
@@ -459,6 +477,37 @@ def disk_errors(where: Path) -> Iterator[None]:
         remedy = REMEDIES.get(error.errno or 0, "choose another place")
         kind = DiskError if error.errno in _FULL_OR_FAILED else InputError
         raise kind(f"cannot be written: {error.strerror}; {remedy}", where=where) from error
+
+
+def _flags(*names: str) -> int:
+    """Those flags of ``os.open`` that this system has, and Windows' for line ends left alone."""
+    return sum(getattr(os, f"O_{name}", 0) for name in (*names, "BINARY"))
+
+
+def _lock(descriptor: int) -> None:
+    """Lock an open file or folder at once; OSError where another process holds the lock."""
+    try:
+        fcntl = importlib.import_module("fcntl")
+    except ModuleNotFoundError:  # Windows
+        msvcrt = importlib.import_module("msvcrt")
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    else:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def _replace(temporary: Path, file: Path) -> None:
+    """Put a file in another's place.
+
+    Windows refuses as long as somebody reads the other, and so is asked again for a second.
+    """
+    for left in reversed(range(_TRIES if sys.platform == "win32" else 1)):
+        try:
+            temporary.replace(file)
+            return
+        except PermissionError:
+            if not left:
+                raise
+            time.sleep(_TRIED_EVERY_S)
 
 
 def _require_regular(status: os.stat_result, file: Path, most: int) -> None:

@@ -6,11 +6,12 @@ next picture when it asks for it, so one that stops reading holds up itself alon
 
 import asyncio
 import contextlib
+import importlib
 import json
 import re
-import resource
 import secrets
 import socket
+import sys
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -276,8 +277,7 @@ class BrowserConnection(H11Protocol):
         super().connection_made(transport)
         self._began_s = self.loop.time()
         self._drop_if_silent_after(None)
-        files, _ = resource.getrlimit(resource.RLIMIT_NOFILE)  # ``ulimit -n``
-        if len(self.connections) > max(1, min(MOST_CONNECTIONS, files - KEPT_FILES)):
+        if len(self.connections) > max(1, min(MOST_CONNECTIONS, _most_files() - KEPT_FILES)):
             own = [each for each in self.connections if isinstance(each, BrowserConnection)]
             max(own, key=BrowserConnection.dispensable).transport.abort()
 
@@ -298,6 +298,16 @@ class BrowserConnection(H11Protocol):
     def _drop_if_silent(self, answered: Any) -> None:
         if self.cycle is answered:
             self.transport.abort()
+
+
+def _most_files() -> int:
+    """How many files this process may have open (``ulimit -n``)."""
+    try:
+        resource = importlib.import_module("resource")
+    except ModuleNotFoundError:  # Windows, whose sockets are no files
+        return sys.maxsize
+    most: int = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return most
 
 
 # The files of the live page, listed once: no path of a request reaches the file system.

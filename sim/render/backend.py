@@ -161,7 +161,12 @@ def _apt_get(admin: list[str], *arguments: str) -> bool:
 # Mitsuba with an LLVM that can render: the one module through which ``sim`` reaches Mitsuba.
 
 
-LLVM, CUDA = "llvm_ad_mono", "cuda_ad_mono"
+LLVM = "llvm_ad_mono"
+GPUS = {
+    "cuda_ad_mono": "an NVIDIA GPU with OptiX",
+    "metal_ad_mono": "a Mac whose GPU knows Metal",
+}
+"""The variants that render on a GPU, and what each needs."""
 OLDEST_MAJOR = 15  # Dr.Jit itself refuses whatever lacks opaque pointers
 ATOMIC = "libatomic1"  # Dr.Jit's threads are linked to it; a bare Debian or Ubuntu has none
 PACKAGES = ("libllvm19", "libllvm20", "libllvm21", "libllvm18", "libllvm17")
@@ -170,9 +175,10 @@ LEAST_THREADS = 2
 MOST_PROCESSES = 4  # of half a GB each
 PROBE_TIMEOUT_S = 120.0  # a probe takes about 1 s; this is for a machine under heavy load
 
-_NAME = re.compile(r"libLLVM(?:-(\d+)[\w.]*?)?\.so(?:\.(\d+)[\w.]*)?")
-# Under /usr and the like.
-_PLACES = ("lib*", "lib/*-linux-gnu*", "lib/llvm-*/lib", "lib64/llvm*/lib")
+_NAME = re.compile(r"libLLVM(?:-(\d+)[\w.]*?)?\.(?:so(?:\.(\d+)[\w.]*)?|dylib)")
+_ROOTS = ("/usr", "/usr/local", "/opt/homebrew", "/", sys.prefix)
+# Beneath these; the last are of Homebrew, which links no LLVM into lib.
+_PLACES = ("lib*", "lib/*-linux-gnu*", "lib/llvm-*/lib", "lib64/llvm*/lib", "opt/llvm*/lib")
 _PROBE = """
 import ctypes, os, resource, sys
 resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
@@ -226,27 +232,28 @@ ANSWERS = TypeAdapter(dict[str, ProbeResult])
 def load_mitsuba() -> ModuleType:
     """The module ``mitsuba`` with its variant set, safe to render with.
 
-    The variant is ``llvm_ad_mono``, or ``cuda_ad_mono`` where the environment variable
-    LSCAN_VARIANT asks for it, with LSCAN_THREADS threads, or one for each core.  Sets
-    DRJIT_LIBLLVM_PATH for this process and its children.
+    The variant is ``llvm_ad_mono``, or one of GPUS where the environment variable LSCAN_VARIANT
+    asks for it, with LSCAN_THREADS threads, or one for each core.  Sets DRJIT_LIBLLVM_PATH for
+    this process and its children.
     Raises BackendError where Mitsuba is missing or nothing on this machine can run it.
     """
     _require_mitsuba()
     mitsuba = sys.modules.get("mitsuba")
-    if mitsuba is not None and mitsuba.variant() in (LLVM, CUDA):
+    if mitsuba is not None and mitsuba.variant() in (LLVM, *GPUS):
         return mitsuba
     variant = os.environ.get("LSCAN_VARIANT") or LLVM
     if variant == LLVM:
         os.environ["DRJIT_LIBLLVM_PATH"] = str(find_llvm().path)
-    elif variant == CUDA:
-        verdict = _probe(CUDA, {})
+    elif variant in GPUS:
+        verdict = _probe(variant, {})
         if not verdict.works:
             raise BackendError(
-                f"LSCAN_VARIANT: {CUDA} needs an NVIDIA GPU with OptiX ({verdict.reason}); "
+                f"LSCAN_VARIANT: {variant} needs {GPUS[variant]} ({verdict.reason}); "
                 f"unset it to render with {LLVM}"
             )
     else:
-        raise BackendError(f"LSCAN_VARIANT: got {variant!r} (allowed: {LLVM}, {CUDA})")
+        allowed = ", ".join((LLVM, *GPUS))
+        raise BackendError(f"LSCAN_VARIANT: got {variant!r} (allowed: {allowed})")
     mitsuba = importlib.import_module("mitsuba")
     mitsuba.set_variant(variant)
     drjit = importlib.import_module("drjit")
@@ -307,10 +314,11 @@ def find_llvm(candidates: Iterable[Path] | None = None, probe: Probe | None = No
         faults.append(f"{library.path.name}: {verdict.reason}")
     tried = f"tried {'; '.join(faults)}" if faults else "found no libLLVM at all"
     raise BackendError(
-        "no usable LLVM: install the package libllvm19 (Debian 12 and 13, Ubuntu 24.04) or "
-        "llvm-libs (Fedora, Arch); Ubuntu 22.04 has nothing newer than libllvm15: add the LLVM "
-        "project's own apt repository for jammy and install libllvm19 from there, or move to "
-        f"24.04; or name another libLLVM in DRJIT_LIBLLVM_PATH; {tried}"
+        "no usable LLVM: install the package libllvm19 (Debian 12 and 13, Ubuntu 24.04), "
+        "llvm-libs (Fedora, Arch) or llvm (macOS, by Homebrew); Ubuntu 22.04 has nothing newer "
+        "than libllvm15: add the LLVM project's own apt repository for jammy and install "
+        "libllvm19 from there, or move to 24.04; or name another libLLVM in DRJIT_LIBLLVM_PATH; "
+        f"{tried}"
     )
 
 
@@ -349,9 +357,10 @@ def _installed_libraries() -> list[Path]:
     if ldconfig := shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"):
         listed = subprocess.run([ldconfig, "-p"], capture_output=True, text=True).stdout
         paths += [Path(name) for name in re.findall(r"=> (\S*libLLVM\S*)", listed)]
-    for root in ("/usr", "/usr/local", "/", sys.prefix):
+    for root in _ROOTS:
         for place in _PLACES:
-            paths += Path(root).glob(f"{place}/libLLVM*.so*")
+            found = Path(root).glob(f"{place}/libLLVM*")
+            paths += [path for path in found if ".so" in path.name or path.suffix == ".dylib"]
     return [path for path in paths if path.is_file()]
 
 

@@ -163,7 +163,8 @@ def open_serial(port: str, baud: int, name: str, write_s: float, dtr: bool = Tru
             ) from error
         raise ConnectionLost(
             f"{name}: {port!r} cannot be opened at {baud} baud: {error}; check the cable, the "
-            "port's name, that no other program holds it, and that you may use it (group dialout)"
+            "port's name, that no other program holds it, and that you may use it (on Linux, group "
+            "dialout)"
         ) from error
 
 

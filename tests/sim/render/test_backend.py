@@ -61,6 +61,8 @@ def crowd(tmp_path: Path) -> list[Path]:
         ("libLLVM-18.so", 18),
         ("libLLVM.so.22.0git", 22),
         ("libLLVM.so", None),
+        ("libLLVM-20.dylib", 20),  # Homebrew's old and new names
+        ("libLLVM.dylib", None),
     ],
 )
 def test_the_major_version_is_read_from_the_name(
@@ -234,6 +236,19 @@ def test_a_library_that_mitsuba_lacks_is_no_fault_of_llvm() -> None:
     assert backend._judge(1, llvms) == ProbeResult(works=False, reason=llvms, final=False)
 
 
+def test_homebrews_libraries_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On macOS it links none of them into lib; no Mac was at hand, only its names are here."""
+    lib = tmp_path / "Cellar" / "llvm" / "21.1.8" / "lib"
+    lib.mkdir(parents=True)
+    [library] = _libraries(lib, "libLLVM.dylib")
+    (tmp_path / "opt").mkdir()
+    (tmp_path / "opt" / "llvm").symlink_to(tmp_path / "Cellar" / "llvm" / "21.1.8")
+    monkeypatch.setattr(backend, "_ROOTS", (tmp_path,))
+    monkeypatch.setenv("PATH", "")
+    found = backend.newest_first(backend._installed_libraries())
+    assert Library(library.resolve(), None) in found
+
+
 def test_a_probe_without_an_answer_is_ended(
     crowd: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -367,6 +382,20 @@ def test_a_signal_while_mitsuba_is_imported_acts_once_it_is() -> None:
     )
     done = _python(code)
     assert (done.stdout.strip(), done.returncode) == ("stopped True", 0), done.stderr
+
+
+@pytest.mark.parametrize("variant", backend.GPUS)
+def test_a_gpu_that_is_not_there_is_named_with_what_it_needs(
+    variant: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LSCAN_VARIANT", variant)
+    monkeypatch.delitem(sys.modules, "mitsuba", raising=False)  # as before it is imported
+    no_gpu = ProbeResult(works=False, reason="no such GPU", final=False)
+    monkeypatch.setattr(backend, "_probe", lambda *asked: no_gpu)
+    with pytest.raises(BackendError) as caught:
+        backend.load_mitsuba()
+    line = f"{variant} needs {backend.GPUS[variant]} (no such GPU); unset it to render with "
+    assert str(caught.value).startswith(f"LSCAN_VARIANT: {line}")
 
 
 def test_the_command_fails_with_one_line_and_code_2(

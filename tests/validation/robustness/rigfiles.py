@@ -25,6 +25,7 @@ from lscan.acquisition.writer import create_run
 from lscan.config.documents import Document, Strict, merge
 from lscan.config.plugins import installed
 from lscan.config.rig import Rig, parse_rig
+from lscan.devices.genicam import GenicamOptions
 from lscan.devices.grbl import SerialTrackOptions
 from lscan.devices.klipper import KlipperOptions
 from lscan.devices.manual import ManualOptions
@@ -38,6 +39,7 @@ from sim.scene.file import TankSections
 
 SIZE_PX = (16, 16)
 CAMERAS: dict[str, type[Strict]] = {
+    "genicam": GenicamOptions,
     "opencv": OpencvOptions,
     "replay": ReplayOptions,
     "sim": CameraOptions,
