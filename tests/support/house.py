@@ -62,13 +62,13 @@ def house_rows(root: Path = ROOT) -> list[HouseRow]:
     tests = sum(map(code_lines, modules_of(root / "tests")))
     readme = (root / "README.md").read_text(encoding="utf-8").splitlines()
     return [
-        HouseRow("modules of lscan and sim", len(modules), 263),
+        HouseRow("modules of lscan and sim", len(modules), 270),
         HouseRow(f"of these of less than {SMALL} lines", len(small), 41),
         HouseRow("modules of the fullest room", rooms[fullest], 12, str(fullest.relative_to(root))),
         HouseRow("modules at the root of lscan", len(at_root), 7, ", ".join(at_root)),
-        HouseRow("lines of code of lscan and sim", sum(code.values()), 46_410, str(code)),
-        HouseRow("of these lines of imports", imports, 3_960),
-        HouseRow("lines of code of tests and validation", tests, 55_230),
+        HouseRow("lines of code of lscan and sim", sum(code.values()), 48_800, str(code)),
+        HouseRow("of these lines of imports", imports, 4_150),
+        HouseRow("lines of code of tests and validation", tests, 58_200),
         HouseRow("class names used more than once", len(twice), 0, ", ".join(twice)),
         HouseRow("lines of README.md", len(readme), 150),
         *(HouseRow(f"files: {what}", len(files), MOST_FILES) for what, files in ways(root).items()),
