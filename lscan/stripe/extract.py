@@ -116,7 +116,8 @@ def compile_lines() -> None:
         for name in ("centroid", "gaussian", "ml", "steger"):
             for dark in (None, np.zeros_like(picture)):
                 extract_stripe(picture, StripeSection(extractor=name, smooth_px=1.0), dark)
-            extract_stripe(16 * picture.astype(np.uint16), StripeSection(extractor=name))
+            deep = np.minimum(16 * (light + board), 4095).astype(np.uint16) * 16  # of 12 bits
+            extract_stripe(deep, StripeSection(extractor=name))
 
 
 class _SeenPicture(NamedTuple):

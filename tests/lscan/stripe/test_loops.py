@@ -127,6 +127,11 @@ for light, under, name in product(
         ({"smooth_px": 3.0, "blur_px": 1.0}, None), ({"returns": "first"}, dark),
     ):
         extract_stripe(picture, StripeSection(extractor=name, **settings), background)
+        deep, deep_dark = (
+            None if each is None else each.astype(np.uint16) << 8 for each in (picture, background)
+        )
+        deep[::7] += 16  # values that are no whole DN
+        extract_stripe(deep, StripeSection(extractor=name, **settings), deep_dark)
     extract_stripe(np.stack([picture] * 3, -1), StripeSection(extractor=name, channel="auto"))
 for name in names.split():
     foreign = find_extractor(name)  # as an extractor of somebody's own would call it
