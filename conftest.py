@@ -37,9 +37,14 @@ if TYPE_CHECKING:
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "PYTEST_XDIST_WORKER" in os.environ:  # as many of them render as there are cores
     os.environ.setdefault("LSCAN_THREADS", "1")
-# Tests send it, and a shell without job control begins with it ignored what it runs by "&".
-if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# Tests send them.  A shell without job control begins with SIGINT and SIGQUIT ignored what it runs
+# by "&", and nohup with SIGHUP.
+for name, usual in (
+    ("SIGINT", signal.default_int_handler), ("SIGQUIT", signal.SIG_DFL), ("SIGHUP", signal.SIG_DFL)
+):  # fmt: skip
+    number = getattr(signal, name, None)  # Windows lacks two of them
+    if number is not None and signal.getsignal(number) == signal.SIG_IGN:
+        signal.signal(number, usual)
 # Tables of scattered light are made quickly; tests that judge them ask for photons of their own.
 os.environ.setdefault("LSCAN_PHOTONS", "131072")
 

@@ -234,7 +234,7 @@ def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_the_list_as_json_and_in_words() -> None:
     listed = json.loads(_run("--json").stdout)
-    assert set(listed) == {"cameras", "serial_ports", "drivers"}
+    assert set(listed) == {"cameras", "genicam_cameras", "serial_ports", "drivers"}
     assert {"kind", "name", "does"} == set(listed["drivers"][0])
     assert "replay" in _run().stdout
 
