@@ -316,8 +316,8 @@ def render_picture(
 
     Returns
     -------
-    array of uint8, or of uint16 where the camera has more than 8 bits
-        (H, W, 3), RGB.
+    array
+        (H, W, 3), RGB, uint8, or uint16 where the camera has more than 8 bits.
 
     Raises
     ------
