@@ -120,9 +120,18 @@ class FrameRow:
 
     @staticmethod
     def from_text(text: str, where: object, paired: bool = False) -> "FrameRow":
-        """The row that ``as_text`` wrote; InputError where it is torn or was changed.
+        """The row that ``as_text`` wrote.
 
-        paired: whether it must list a background, or must not.
+        Parameters
+        ----------
+        text : str, without its line end
+        where : object, file and line, for the error
+        paired : bool, whether it must list a background, or must not
+
+        Raises
+        ------
+        InputError
+            It is torn or was changed.
         """
         body, _, crc = text.rpartition(",")
         if crc != _crc32(body):

@@ -29,6 +29,8 @@ USUAL_TICKS_HZ = 1e9
 
 _log = logging.getLogger(__name__)
 
+Offset = Annotated[int, Field(ge=0, le=100_000)]
+
 
 class GenicamOptions(Strict):
     """Which camera, how it is set, and how a picture is asked for.
@@ -48,7 +50,7 @@ class GenicamOptions(Strict):
     address: Annotated[str, Field(pattern=r"^[0-9a-fA-F.:]+$")] | None = None
     serial: Annotated[str, Field(min_length=1)] | None = None
     interface: Annotated[str, Field(min_length=1)] | None = None
-    offset_px: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] = (0, 0)
+    offset_px: tuple[Offset, Offset] = (0, 0)
     pixel_format: Annotated[str, Field(min_length=1)] | None = None
     gain: Annotated[float, Field(ge=-1000, le=1e6)] | None = None
     features: dict[str, bool | int | float | str] = Field(default_factory=dict)
