@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -158,6 +158,10 @@ class GenicamCamera:
                 self.can_set_exposure = any(name.startswith("Exposure") for name in self._features)
                 self._exposure_ms = self._set_up()
                 self._ticks_hz = self._stated_ticks_hz()
+                names = ("DeviceVendorName", "DeviceModelName", "DeviceSerialNumber")
+                known = [self._camera.get(name) for name in names if name in self._features]
+                self.identity = " ".join(known) or options.serial
+                """Maker, model and serial number, as far as the camera says them."""
                 delay_us = options.packet_delay_us
                 self._stream = self._camera.stream(
                     iface=options.interface,
@@ -168,10 +172,6 @@ class GenicamCamera:
         except DeviceError:
             self._camera.close()
             raise
-        names = ("DeviceVendorName", "DeviceModelName", "DeviceSerialNumber")
-        known = [self._camera.get(name) for name in names if name in self._features]
-        self.identity = " ".join(known) or options.serial
-        """Maker, model and serial number, as far as the camera says them."""
 
     @property
     def size_px(self) -> tuple[int, int]:
@@ -241,7 +241,9 @@ class GenicamCamera:
             return
         self._closed.set()
         with self._lock:
-            again = self._stream.stats().resend_recovered
+            again = 0
+            with suppress(self._error):
+                again = self._stream.stats().resend_recovered
             for let_go in (lambda: self._stream.__exit__(None, None, None), self._camera.close):
                 try:
                     let_go()
