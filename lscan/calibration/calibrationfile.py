@@ -42,12 +42,22 @@ from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
 from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
 from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver
 from lscan.camera.optics import stated_port
-from lscan.camera.posedboards import CAMERA, COUNT
+from lscan.camera.posedboards import CAMERA, COUNT, NEWER, LensKind, with_newer
 from lscan.config.documents import Strict, check
 from lscan.config.rig import Known, OpticsSection
 from lscan.errors import InputError
 from lscan.files.disk import read_json, write_atomically
-from lscan.records import Axis, BoardReading, Ints, Mark, Marks, RingPoints, RulerReading, Status
+from lscan.records import (
+    Axis,
+    BoardReading,
+    Floats,
+    Ints,
+    Mark,
+    Marks,
+    RingPoints,
+    RulerReading,
+    Status,
+)
 
 FORMAT: Final = "lscan-calibration"
 METRIC_FORMAT: Final = "lscan-metric-calibration"
@@ -191,6 +201,7 @@ def save_calibration(path: Path | str, calibration: AnyCalibration | CameraCalib
         fields = {
             "image_size": calibration.image_size,
             "k3": calibration.k3,
+            "lens": calibration.lens,
             "camera_sigma": calibration.sigma,
             "views": tuple(map(asdict, calibration.views)),
         }
@@ -430,6 +441,10 @@ class CalibrationFile(Strict):
         )
 
 
+def _sigma_of_camera(sigma: Floats) -> Floats:
+    return with_newer(sigma, COUNT - len(NEWER))
+
+
 class StoredViews(Strict):
     """What both files of the metric route hold: solve.SolvedViews, its sigma as camera_sigma."""
 
@@ -439,7 +454,8 @@ class StoredViews(Strict):
     image_size: tuple[Side, Side]
     optics: OpticsSection
     k3: Known
-    camera_sigma: Vector
+    camera_sigma: Annotated[Vector, AfterValidator(_sigma_of_camera)]
+    lens: LensKind = "brown"  # older files know no other
     views: tuple[StoredView, ...]
 
     @model_validator(mode="after")
@@ -455,6 +471,7 @@ class StoredViews(Strict):
             "image_size": self.image_size,
             "optics": self.optics,
             "k3": self.k3,
+            "lens": self.lens,
             "sigma": self.camera_sigma,
             "views": tuple(FittedView(**dict(view)) for view in self.views),
         }

@@ -19,7 +19,7 @@ from pydantic import (
     WrapValidator,
 )
 
-from lscan.camera.posedboards import LIMITS
+from lscan.camera.posedboards import LIMITS, NEWER
 from lscan.records import Floats
 
 STRICT = ConfigDict(extra="forbid")
@@ -140,8 +140,13 @@ def check_theta(theta: dict[str, float], names: Sequence[str]) -> dict[str, floa
     ValueError
         Where a name differs, or a value lies outside the camera's LIMITS.
     """
+    older = [name for name in names if name not in NEWER]
+    if list(theta) == older:
+        theta = {name: theta.get(name, 0.0) for name in names}
     if tuple(theta) != tuple(names):
         raise ValueError(f"theta must hold {', '.join(names)}")
+    if theta.get("fisheye", 0.0) not in (0.0, 1.0):
+        raise ValueError("theta.fisheye must be 0 or 1")
     for name, (low, high) in LIMITS.items():
         if not low <= theta[name] <= high:
             raise ValueError(f"theta.{name} must be {low:g} to {high:g}")

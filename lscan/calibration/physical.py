@@ -122,7 +122,7 @@ class SheetGeometry:
 
     Attributes
     ----------
-    theta : (14,) array, the camera (parameters.CAMERA)
+    theta : (18,) array, the camera (parameters.CAMERA)
     port : str, "flat", or "none" for a camera in air
     axes : (3, 3) array, the frame's axes x, y, z as columns, camera frame
     place_mm : (3,) array, mm, camera frame, a point of the frame's plane y = 0

@@ -55,7 +55,7 @@ class PortModel:
 
 @dataclass(frozen=True)
 class CameraModel:
-    """A pinhole with Brown-Conrady distortion as OpenCV writes it, behind a port or in air.
+    """A pinhole with a distorting lens as OpenCV writes it, behind a port or in air.
 
     Attributes
     ----------
@@ -64,6 +64,10 @@ class CameraModel:
     k1, k2 : float, radial distortion
     p1, p2 : float, decentring distortion
     k3 : float, radial distortion
+    k4, k5, k6 : float, the denominator of the radial distortion (the rational model); of a
+        fisheye k4 is its fourth coefficient, and k5 and k6 are not used
+    fisheye : bool, whether the radius in the picture goes with the angle off the axis (Kannala and
+        Brandt's model) and not with its tangent
     port : PortModel or None, None for a camera in air
     """
 
@@ -74,14 +78,26 @@ class CameraModel:
     p1: float = 0.0
     p2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
+    fisheye: bool = False
     port: PortModel | None = None
 
 
-# Brown-Conrady distortion and its inverse (Brown 1971, Conrady 1919; OpenCV's notation).
+# Distortion and its inverse, in OpenCV's notation: of the tangents (x, y) of a direction, with
+# q = x^2 + y^2, the lens makes (x, y) R(q) and, of Brown's and the rational model, the decentring
+# terms of Brown 1971 and Conrady 1919.
+#
+#     R = (1 + k1 q + k2 q^2 + k3 q^3) / (1 + k4 q + k5 q^2 + k6 q^3)     Brown: no k4 to k6
+#     R = t (1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8) / tan t,  tan^2 t = q     fisheye
+#
+# The latter is that of J. Kannala and S. Brandt, IEEE PAMI 28 (2006) 1335, eq. 6.
 
 
 SMALL_LENS_STEP = 1e-10  # tangents; a Newton step this small leaves an error at float64's rounding
 MOST_LENS_STEPS = 50
+STEEPEST = 1.55  # rad, angle off the axis from which a fisheye's is sought at most
 
 
 def distort(camera: CameraModel, tangents: Floats) -> Floats:
@@ -89,25 +105,29 @@ def distort(camera: CameraModel, tangents: Floats) -> Floats:
 
     Parameters
     ----------
-    camera : CameraModel, whose k1, k2, k3, p1 and p2 count
+    camera : CameraModel, whose lens counts
     tangents : (N, 2) array, x/z and y/z of directions in air, camera frame
     """
     inside = np.hypot(*tangents.T) < fold_radius(camera)
     x, y = np.where(inside[:, None], tangents, np.nan).T
-    return np.column_stack(_bent_tangents(camera, x, y, *_radial(camera, x, y)))
+    return np.column_stack(_bent_tangents(camera, x, y, *_radial(camera, x, y)[:2]))
 
 
 def undistort(camera: CameraModel, distorted: Floats) -> Floats:
     """(N, 2) tangents that ``distort`` takes to given ones; NaN where nothing is imaged there.
 
-    By Newton's method from the distorted tangents.
+    By Newton's method from the distorted tangents, or from those of an undistorted fisheye.
 
     Parameters
     ----------
-    camera : CameraModel, whose k1, k2, k3, p1 and p2 count
+    camera : CameraModel, whose lens counts
     distorted : (N, 2) array, pixels less the centre, over the focal length
     """
     tangents = distorted
+    if camera.fisheye:
+        radius = np.hypot(*distorted.T)
+        sought = np.tan(np.minimum(radius, STEEPEST))
+        tangents = distorted * np.divide(sought, radius, where=radius > 0, out=radius + 1)[:, None]
     step = np.zeros_like(distorted)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(MOST_LENS_STEPS):
@@ -125,23 +145,50 @@ def fold_radius(camera: CameraModel) -> float:
 
     Parameters
     ----------
-    camera : CameraModel, whose k1, k2 and k3 count
+    camera : CameraModel, whose radial distortion counts
     """
-    return _fold_radius(camera.k1, camera.k2, camera.k3)
+    return _fold_radius(camera.fisheye, *(getattr(camera, f"k{n}") for n in range(1, 7)))
 
 
 @lru_cache(maxsize=1024)  # a fit asks for few distortions many times
-def _fold_radius(k1: float, k2: float, k3: float) -> float:
-    # d(r + k1 r^3 + k2 r^5 + k3 r^7)/dr = 0, as a polynomial in 1/r^2.
-    inverse = np.roots([1.0, 3 * k1, 5 * k2, 7 * k3])
+def _fold_radius(
+    fisheye: bool, k1: float, k2: float, k3: float, k4: float, k5: float, k6: float
+) -> float:
+    # Where the distorted radius grows no more, or has a pole: as a polynomial in the square of the
+    # radius, or of a fisheye in that of the angle, whose least root is that of the largest inverse.
+    if fisheye:
+        inverse = np.roots([1.0, 3 * k1, 5 * k2, 7 * k3, 9 * k4])
+    else:
+        odd = np.array([1.0, 3.0, 5.0, 7.0])  # d/dr of r^n
+        above, below = np.array([1.0, k1, k2, k3]), np.array([1.0, k4, k5, k6])
+        growth = np.convolve(odd * above, below) - np.convolve(above, (odd - 1) * below)
+        inverse = np.concatenate([np.roots(growth), np.roots(below)])
     real = inverse.real[(np.abs(inverse.imag) < 1e-12) & (inverse.real > 0)]
-    return float(1 / np.sqrt(real.max())) if len(real) else np.inf
+    least = float(1 / np.sqrt(real.max())) if len(real) else np.inf
+    if fisheye:
+        return float(np.tan(least)) if least < np.pi / 2 else np.inf
+    return least
 
 
-def _radial(camera: CameraModel, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """(N,) squares of the radius, and by what factor the radial distortion lengthens it."""
+def _radial(camera: CameraModel, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """(N,) squares q of the radius, by what factor the lens lengthens it, and the factor's d/dq."""
     q = x * x + y * y
-    return q, 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
+    if not camera.fisheye:
+        above = 1 + q * (camera.k1 + q * (camera.k2 + q * camera.k3))
+        below = 1 + q * (camera.k4 + q * (camera.k5 + q * camera.k6))
+        radial = above / below
+        by_above = camera.k1 + q * (2 * camera.k2 + q * 3 * camera.k3)
+        by_below = camera.k4 + q * (2 * camera.k5 + q * 3 * camera.k6)
+        return q, radial, (by_above - radial * by_below) / below
+    k1, k2, k3, k4 = camera.k1, camera.k2, camera.k3, camera.k4
+    r = np.sqrt(q)
+    t = np.arctan(r)
+    s, away = t * t, q > 0
+    factor = 1 + s * (k1 + s * (k2 + s * (k3 + s * k4)))
+    growth = 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))  # of t factor, by t
+    radial = factor * np.divide(t, r, where=away, out=np.ones_like(r))
+    by_q = np.divide(growth / (1 + q) - radial, 2 * q, where=away, out=np.full_like(q, k1 - 1 / 3))
+    return q, radial, by_q
 
 
 def _bent_tangents(
@@ -158,23 +205,33 @@ def undistort_derivatives(camera: CameraModel, tangents: Floats) -> tuple[Floats
 
     Parameters
     ----------
-    camera : CameraModel, whose k1, k2, k3, p1 and p2 count
+    camera : CameraModel, whose lens counts
     tangents : (N, 2) array, that ``undistort`` found
 
     Returns
     -------
     tuple of array
-        (N, 2, 2), and (N, 2, 5) by k1, k2, p1, p2 and k3.
+        (N, 2, 2), and (N, 2, 8) by k1, k2, p1, p2, k3, k4, k5 and k6.
     """
     x, y = tangents.T
-    q, cross = x * x + y * y, 2 * x * y
+    q, radial, by_q = _radial(camera, x, y)
+    if camera.fisheye:
+        t = np.arctan(np.sqrt(q))
+        first = np.divide(t**3, np.sqrt(q), where=q > 0, out=np.zeros_like(q))
+        by_k = [first * t**power for power in (0, 2, 4, 6)]
+        by_k += [np.zeros_like(q)] * 2
+    else:
+        below = 1 + q * (camera.k4 + q * (camera.k5 + q * camera.k6))
+        by_k = [q**power / below for power in (1, 2, 3)]
+        by_k += [-radial * by_above for by_above in by_k]
+    by_p = [[2 * x * y, q + 2 * x * x], [q + 2 * y * y, 2 * x * y]]
     by_coefficients = np.array(
         [
-            [x * q, x * q**2, cross, q + 2 * x * x, x * q**3],
-            [y * q, y * q**2, q + 2 * y * y, cross, y * q**3],
+            [at * by_k[0], at * by_k[1], *of_p, *(at * by for by in by_k[2:])]
+            for at, of_p in zip((x, y), by_p, strict=True)
         ]
     )
-    by_x, by_other, by_y = _jacobian(camera, x, y, *_radial(camera, x, y))
+    by_x, by_other, by_y = _jacobian(camera, x, y, q, radial, by_q)
     inverse = np.array([[by_y, -by_other], [-by_other, by_x]])
     inverse = np.moveaxis(inverse / (by_x * by_y - by_other**2), 2, 0)
     return inverse, -inverse @ np.moveaxis(by_coefficients, 2, 0)
@@ -183,10 +240,10 @@ def undistort_derivatives(camera: CameraModel, tangents: Floats) -> tuple[Floats
 def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Floats:
     """(N, 2) by which ``tangents`` are too large, to first order."""
     x, y = tangents.T
-    q, radial = _radial(camera, x, y)
+    q, radial, by_q = _radial(camera, x, y)
     bent_x, bent_y = _bent_tangents(camera, x, y, q, radial)
     across, down = bent_x - distorted[:, 0], bent_y - distorted[:, 1]
-    by_x, cross, by_y = _jacobian(camera, x, y, q, radial)
+    by_x, cross, by_y = _jacobian(camera, x, y, q, radial, by_q)
     steps = np.empty_like(tangents)
     steps[:, 0] = by_y * across - cross * down
     steps[:, 1] = by_x * down - cross * across
@@ -194,13 +251,13 @@ def _newton_step(camera: CameraModel, tangents: Floats, distorted: Floats) -> Fl
 
 
 def _jacobian(
-    camera: CameraModel, x: Floats, y: Floats, q: Floats, radial: Floats
+    camera: CameraModel, x: Floats, y: Floats, q: Floats, radial: Floats, by_q: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """(N,) derivatives: of x distorted by x, of either by the other, of y distorted by y."""
-    by_q = 2 * (camera.k1 + q * (2 * camera.k2 + q * 3 * camera.k3))  # of radial, twice
-    by_x = radial + by_q * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
-    cross = by_q * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
-    by_y = radial + by_q * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
+    twice = 2 * by_q  # by x it is that times x
+    by_x = radial + twice * x * x + 2 * camera.p1 * y + 6 * camera.p2 * x
+    cross = twice * x * y + 2 * camera.p1 * x + 2 * camera.p2 * y
+    by_y = radial + twice * y * y + 6 * camera.p1 * y + 2 * camera.p2 * x
     return by_x, cross, by_y
 
 

@@ -27,13 +27,31 @@ from lscan.records import Floats, Ints, Mask
 
 # The parameters of a camera behind a port: their order, limits, and what is known beforehand.
 
-LENS = ("focal_px", "centre_u_px", "centre_v_px", "k1", "k2", "p1", "p2", "k3")
+BENDS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # coefficients of a lens's distortion
+LENS = ("focal_px", "centre_u_px", "centre_v_px", *BENDS, "fisheye")
+"""fisheye: 1 of such a lens and 0 of another (CameraModel.fisheye); it is never free."""
+NEWER = LENS[8:]
+"""Of these older files know nothing: 0, and exact."""
 PORT = ("gap_mm", "thickness_mm", "glass_index", "water_index", "tilt_x_deg", "tilt_y_deg")
 CAMERA = LENS + PORT
 COUNT = len(CAMERA)
-WATER = CAMERA.index("water_index")
+WATER, FISHEYE = CAMERA.index("water_index"), CAMERA.index("fisheye")
 
 PortKind = Literal["flat", "none"]
+
+LensKind = Literal["brown", "rational", "fisheye"]
+"""Which model of a lens is fitted: Brown's, OpenCV's rational one, or Kannala and Brandt's."""
+
+LensChoice = LensKind | Literal["auto"]
+
+OWN_BENDS: dict[LensKind, dict[str, Known]] = {
+    "brown": {},
+    "rational": dict.fromkeys(("k1", "k2", "k3", "k4", "k5", "k6"), (0.0, 5.0)),
+    "fisheye": dict.fromkeys(("k3", "k4"), (0.0, 0.5)) | dict.fromkeys(("p1", "p2"), (0.0, 0.0)),
+}
+"""What is known of coefficients that [optics], which speaks of Brown's, does not describe.  The
+angle itself, a rectilinear picture's radius, is 1 + 7/9 q + ... over 1 + 10/9 q + ... times it, and
+a fisheye's own radii (stereographic, equal in area, orthographic) have coefficients below 0.2."""
 
 # Where nothing is known: as uncertain as webcams differ among themselves; ours.
 FOCAL_WIDTHS = (1.2, 0.8)  # focal length and its uncertainty over the picture's width
@@ -60,8 +78,8 @@ class CameraPriors:
 
     Attributes
     ----------
-    mean : (14,) array, units as the names in CAMERA say
-    sigma : (14,) array, standard uncertainties; 0: the parameter is held; infinite: nothing is
+    mean : (18,) array, units as the names in CAMERA say
+    sigma : (18,) array, standard uncertainties; 0: the parameter is held; infinite: nothing is
         known
     focal_given : bool, whether the focal length is known, rather than assumed or open
     bend_per_mm : float, 1/mm, standard uncertainty of each of PosedBoards.bend_per_mm about 0;
@@ -75,12 +93,12 @@ class CameraPriors:
 
     @property
     def free(self) -> Mask:
-        """(14,) mask of the parameters to be found."""
+        """(18,) mask of the parameters to be found."""
         return self.sigma > 0
 
     @property
     def informed(self) -> Mask:
-        """(14,) mask of the free parameters of which something is known."""
+        """(18,) mask of the free parameters of which something is known."""
         return self.free & np.isfinite(self.sigma)
 
 
@@ -89,12 +107,25 @@ def camera_of(theta: Floats, port: PortKind) -> CameraModel:
 
     Parameters
     ----------
-    theta : (14 or more,) array, the first in the order of CAMERA
+    theta : (18 or more,) array, the first in the order of CAMERA
     port : str, "flat", or "none" for a camera in air
     """
-    focal, u, v, k1, k2, p1, p2, k3 = theta[: len(LENS)].tolist()
+    focal, u, v, k1, k2, p1, p2, k3, k4, k5, k6, fisheye = theta[: len(LENS)].tolist()
     window = PortModel(*theta[len(LENS) : COUNT].tolist()) if port == "flat" else None
-    return CameraModel(focal, (u, v), k1, k2, p1, p2, k3, window)
+    return CameraModel(
+        focal, (u, v), k1, k2, p1, p2, k3, k4, k5, k6, fisheye=fisheye > 0.5, port=window
+    )
+
+
+def with_newer(rows: Floats, *older: int) -> Floats:
+    """Rows by the parameters of a camera, CAMERA's first; those of older files get NEWER's, 0.
+
+    Parameters
+    ----------
+    rows : (K, ...) array
+    *older : int, how many rows older files have
+    """
+    return np.insert(rows, [8] * len(NEWER), 0.0, axis=0) if len(rows) in older else rows
 
 
 def priors_of(
@@ -102,6 +133,7 @@ def priors_of(
     image_size: tuple[int, int],
     k3: Known = (0.0, 0.0),
     assume_webcam: bool = True,
+    lens: LensKind = "brown",
 ) -> CameraPriors:
     """What is known of the camera from the section [optics] and from k3.
 
@@ -112,6 +144,8 @@ def priors_of(
     k3 : tuple of float, third radial coefficient and its standard uncertainty; held at 0 by default
     assume_webcam : bool, whether a focal length or centre that is not given is assumed to be that
         of a webcam; otherwise nothing is known of it
+    lens : str, the model of the lens, whose own coefficients are about 0 (OWN_BENDS); those of
+        [optics] that it states are not
 
     Raises
     ------
@@ -124,7 +158,13 @@ def priors_of(
         "centre_u_px": ((width - 1) / 2, CENTRE_WIDTHS * width),
         "centre_v_px": ((height - 1) / 2, CENTRE_WIDTHS * width),
     }
-    known = {"k3": k3, "water_index": stated_water(optics) or UNKNOWN_WATER}
+    known: dict[str, Known | None] = dict.fromkeys(("k4", "k5", "k6"), (0.0, 0.0))
+    known |= {"fisheye": (float(lens == "fisheye"), 0.0), "k3": k3}
+    known |= {"water_index": stated_water(optics) or UNKNOWN_WATER}
+    silent = {**OpticsSection().model_dump(include=set(BENDS)), "k3": (0.0, 0.0)}
+    for name, own in OWN_BENDS[lens].items():
+        stated = k3 if name == "k3" else getattr(optics, name, None)
+        known[name] = own if stated in (None, silent.get(name)) else stated
     mean, sigma = np.zeros(COUNT), np.zeros(COUNT)
     for index, name in enumerate(CAMERA):
         given = known.get(name) or getattr(optics, name)
@@ -142,18 +182,23 @@ def priors_of(
 
 
 def contradiction(
-    theta: Floats, optics: OpticsSection, image_size: tuple[int, int], k3: Known = (0.0, 0.0)
+    theta: Floats,
+    optics: OpticsSection,
+    image_size: tuple[int, int],
+    k3: Known = (0.0, 0.0),
+    lens: LensKind = "brown",
 ) -> str:
     """What was stated beforehand and the pictures contradict, in words; "" where nothing is.
 
     Parameters
     ----------
-    theta : (14,) array, the camera that was found, in the order of CAMERA
+    theta : (18,) array, the camera that was found, in the order of CAMERA
     optics : OpticsSection, what was known of it
     image_size : tuple of int, (width, height) of the pictures, px
     k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
+    lens : str, the model of the lens
     """
-    priors = priors_of(optics, image_size, k3, assume_webcam=False)
+    priors = priors_of(optics, image_size, k3, assume_webcam=False, lens=lens)
     off = np.abs(theta - priors.mean) / np.where(priors.informed, priors.sigma, np.inf)
     words = [
         f"{CAMERA[k]} comes out at {theta[k]:.6g}, {off[k]:.0f} of its standard uncertainties off "
@@ -184,7 +229,7 @@ class PosedBoards:
 
     Attributes
     ----------
-    theta : (14 + 6 V,) array, the camera in the order of parameters.CAMERA, then each board's pose
+    theta : (18 + 6 V,) array, the camera in the order of parameters.CAMERA, then each board's pose
         in that of POSE.  ``turn`` is the rotation vector (rad) by which the board is turned from
         facing the ray on which ``centre_mm`` is seen; ``seen`` the pixel where it is seen;
         mm_per_px how far on it lies along that ray, over the apparent focal length.  These change
@@ -379,15 +424,15 @@ class RayDerivatives:
 
     Attributes
     ----------
-    origin_mm : (N, 3, 16) array, mm per unit of the parameters of CAMERA, then of u and v
-    direction : (N, 3, 16) array, by the same
+    origin_mm : (N, 3, 20) array, mm per unit of the parameters of CAMERA, then of u and v
+    direction : (N, 3, 20) array, by the same
     """
 
     origin_mm: Floats
     direction: Floats
 
     def after(self, distance_mm: Floats) -> Floats:
-        """(N, 3, 16) derivatives of the points that the rays reach after given distances.
+        """(N, 3, 20) derivatives of the points that the rays reach after given distances.
 
         Parameters
         ----------
@@ -414,7 +459,7 @@ def _derivatives_at(camera: CameraModel, distorted: Floats, tangents: Floats) ->
     by_lens = np.zeros((len(tangents), 2, COUNT + 2))
     by_lens[:, :, 0] = (by_distorted @ -distorted[:, :, None])[:, :, 0] / camera.focal_px
     by_lens[:, :, 1:3] = -by_distorted / camera.focal_px
-    by_lens[:, :, 3 : len(LENS)] = by_coefficients
+    by_lens[:, :, 3 : len(LENS) - 1] = by_coefficients
     by_lens[:, :, PIXEL] = by_distorted / camera.focal_px
     ahead = np.column_stack([tangents, np.ones(len(tangents))])
     length = np.linalg.norm(ahead, axis=1)[:, None]
@@ -440,7 +485,7 @@ def frame_derivatives(boards: PosedBoards) -> tuple[Floats, Floats]:
     Returns
     -------
     tuple of array
-        (V, 3, 3, 20) of PosedBoards.axes, (V, 3, 20) of places_mm.
+        (V, 3, 3, 24) of PosedBoards.axes, (V, 3, 24) of places_mm.
     """
     seen, sight = boards.poses[:, SEEN], boards.lines_of_sight
     by_ray = ray_derivatives(boards.camera, seen)
@@ -472,7 +517,7 @@ def frame_derivatives(boards: PosedBoards) -> tuple[Floats, Floats]:
 
 
 def image_derivatives(boards: PosedBoards, board_mm: Floats, board: Ints) -> Floats:
-    """(N, 2, 20) derivatives of the pixels at which points of the boards are seen.
+    """(N, 2, 24) derivatives of the pixels at which points of the boards are seen.
 
     By the camera and by the pose of each point's own board; NaN where there is no image.
 
@@ -518,7 +563,7 @@ def bend_derivatives(boards: PosedBoards, board_mm: Floats, board: Ints) -> Floa
 
 
 def on_board_derivatives(boards: PosedBoards, image_px: Floats, board: int) -> Floats:
-    """(K, 3, 20) derivatives of PosedBoards.on_board, by the camera and by the board's pose.
+    """(K, 3, 24) derivatives of PosedBoards.on_board, by the camera and by the board's pose.
 
     Parameters
     ----------

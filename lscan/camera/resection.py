@@ -11,10 +11,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtri, stdtrit
 
-from lscan.camera.optics import rays
+from lscan.camera.optics import project, rays
 from lscan.camera.posedboards import (
+    BENDS,
+    CAMERA,
     COUNT,
     FACING,
+    FISHEYE,
     GREATEST,
     LEAST,
     POSE,
@@ -190,7 +193,7 @@ class CameraFit:
     Attributes
     ----------
     boards : PosedBoards, camera and poses
-    root : (14 + 6 V, P) array, the covariance of boards.theta is root @ root.T
+    root : (18 + 6 V, P) array, the covariance of boards.theta is root @ root.T
     marks : BoardMarks, all N marks
     good : (N,) mask, of those that the solution rests on
     """
@@ -225,7 +228,7 @@ class _Problem:
 
     @cached_property
     def free(self) -> Mask:
-        """(14 + 6 V,) mask of the parameters to be found."""
+        """(18 + 6 V,) mask of the parameters to be found."""
         poses = np.ones(len(self.boards.theta) - COUNT, dtype=bool)
         return np.concatenate([self.priors.free, poses])
 
@@ -459,6 +462,10 @@ def student_factor(freedom: float) -> float:
 
 
 START_WIDTHS = (1.2, 0.7, 2.0)  # focal lengths over the width to start from where none is known
+FISHEYE_WIDTHS = (0.45, 0.33, 0.7)  # px a radian over the width: 127, 174 and 82 degrees across
+FISHEYE_BENDS = (0.7778, 0.0677, 0.0, 0.0, 0.0, 1.1111, 0.2381, 0.0)
+"""BENDS of a rational lens whose radius goes with the angle: Padé's approximation of the
+arctangent, from its continued fraction (Abramowitz & Stegun 4.4.43)."""
 START_PX = 10.0  # residuals above this count linearly while the start is sought
 EVALUATIONS = 15
 TOLERANCE = 1e-9  # relative change of the sum of squares
@@ -479,11 +486,10 @@ def best_start(
     port : str, "flat", or "none" for a camera in air
     width : int, px, of the picture
     """
-    focals = [priors.mean[0]] if priors.focal_given else [share * width for share in START_WIDTHS]
     robust = START_PX / float(np.median(marks.sigma_px))
     best, least = None, np.inf
-    for focal in focals:
-        if (posed := posed_boards(np.array([focal, *priors.mean[1:]]), port, marks)) is None:
+    for theta in _starts(priors, width):
+        if (posed := posed_boards(theta, port, marks)) is None:
             continue
         tried = fit_within_limits(posed, marks, priors, TOLERANCE, robust, EVALUATIONS)
         size = float(np.median(marks.lengths(tried)))
@@ -494,6 +500,21 @@ def best_start(
     return best
 
 
+def _starts(priors: CameraPriors, width: int) -> list[Floats]:
+    """(18,) each, the cameras to start from."""
+    fisheye, rational = priors.mean[FISHEYE] > 0, priors.sigma[CAMERA.index("k5")] > 0
+    widths = FISHEYE_WIDTHS if fisheye else START_WIDTHS
+    focals = [priors.mean[0]] if priors.focal_given else [share * width for share in widths]
+    starts = [np.array([focal, *priors.mean[1:]]) for focal in focals]
+    if rational:
+        focals = [priors.mean[0]] if priors.focal_given else [s * width for s in FISHEYE_WIDTHS]
+        wide = [np.array([focal, *priors.mean[1:]]) for focal in focals]
+        for theta in wide:
+            theta[3 : 3 + len(BENDS)] = FISHEYE_BENDS
+        starts += wide
+    return starts
+
+
 def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoards | None:
     """The camera and the boards where a pinhole of its angle of view has them.
 
@@ -501,7 +522,7 @@ def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoard
 
     Parameters
     ----------
-    theta : (14 or more,) array, the camera in the order of parameters.CAMERA
+    theta : (18 or more,) array, the camera in the order of parameters.CAMERA
     port : str, "flat", or "none" for a camera in air
     marks : BoardMarks, mm on the boards, px in the pictures
 
@@ -521,8 +542,12 @@ def posed_boards(theta: Floats, port: PortKind, marks: BoardMarks) -> PosedBoard
 def _pose(alone: PosedBoards, marks: BoardMarks) -> Floats | None:
     """(6,) the pose of one board before a camera alone."""
     centre_px, apparent = np.array(alone.camera.centre_px), alone.apparent_focal_px
-    plane = marks.board_mm - alone.centre_mm
-    homography, _ = cv2.findHomography(plane, (marks.image_px - centre_px) / apparent)
+    plane, pinhole = marks.board_mm - alone.centre_mm, (marks.image_px - centre_px) / apparent
+    if wide := alone.camera.fisheye or alone.camera.k4 != 0:  # far from a pinhole
+        direction = rays(alone.camera, marks.image_px).direction
+        imaged = np.isfinite(direction).all(axis=1)
+        plane, pinhole = plane[imaged], direction[imaged, :2] / direction[imaged, 2:]
+    homography = cv2.findHomography(plane, pinhole)[0] if len(plane) >= 4 else None
     if homography is None:
         return None
     homography = homography / np.linalg.norm(homography[:, :2], axis=0).mean()
@@ -531,6 +556,8 @@ def _pose(alone: PosedBoards, marks: BoardMarks) -> Floats | None:
     u, _, vt = np.linalg.svd(np.column_stack([x, np.cross(z, x), z]))
     axes = u @ vt
     seen = centre_px + apparent * shift[:2] / shift[2]
+    if wide:
+        seen = project(alone.camera, shift[None])[0]
     sight = rays(alone.camera, seen[None]).direction
     if np.linalg.det(axes) < 0 or np.isnan(sight).any():
         return None

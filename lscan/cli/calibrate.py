@@ -213,13 +213,13 @@ def calibrate_metric(
     known = None if camera is None else files.load_camera(camera)
     with progress_bar("views") as report:
         found, size = read_views(file, report)
-    boards, optics, k3 = [], file.document.optics, file.document.k3
+    boards, optics, k3, lens = [], file.document.optics, file.document.k3, file.document.lens
     if known and camera:
         files.require_same_camera(known, file, size, camera)
-        boards, optics, k3 = known.boards_beside(found), known.optics, known.k3
+        boards, optics, k3, lens = known.boards_beside(found), known.optics, known.k3, known.lens
     try:
         method = metric.calibrate_camera if camera_only else metric.calibrate_metric
-        calibration = method([*boards, *found], optics, size, k3)
+        calibration = method([*boards, *found], optics, size, k3, lens)
     except metric.UnsolvedViews as error:
         folder = overlays or output.with_name(f"{output.stem}-views")
         write_overlays(file, error.views[len(boards) :], folder)
@@ -242,10 +242,12 @@ def calibrate_metric(
         sheet = calibration.plane_map.quantities()
         content["found"], away = _known_json(sheet), plus_minus(*sheet["sheet_distance_mm"], "mm")
         words = f"metric: {used}; {lines} lines, {off}; sheet {away} away"
-    words += f"; focal length {plus_minus(calibration.theta[0], calibration.sigma[0], 'px')}"
+    focal = plus_minus(calibration.theta[0], calibration.sigma[0], "px")
+    words += f"; {calibration.lens} lens, focal length {focal}"
     pairs = zip(calibration.theta, calibration.sigma, strict=True)
     content["camera"] = _known_json(dict(zip(CAMERA, pairs, strict=True)))
-    stated = contradiction(calibration.theta, optics, size, k3)
+    content["lens"] = calibration.lens
+    stated = contradiction(calibration.theta, optics, size, k3, calibration.lens)
     misfit = "; ".join(filter(None, (calibration.misfit, stated)))
     content |= {"misfit": misfit, "views": _views_json(calibration.views)}
     views_table = _views_table(calibration.views)

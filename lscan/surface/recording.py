@@ -28,7 +28,7 @@ from lscan.calibration.physical import PhysicalMap
 from lscan.calibration.planemap import PlaneMap
 from lscan.camera import CameraModel, project, rays
 from lscan.camera.optics import meet_plane
-from lscan.camera.posedboards import camera_of
+from lscan.camera.posedboards import BENDS, camera_of
 from lscan.config.rig import Rig
 from lscan.errors import InputError
 from lscan.files.disk import MOST_TEXT_BYTES, read_bytes
@@ -266,12 +266,17 @@ def _transform(header: Message, child: str, turn: Floats, place_mm: Floats) -> M
 
 def _camera_info(lens: CameraModel, rig: Rig) -> Message:
     focal, (u, v) = lens.focal_px, lens.centre_px
+    model, bends = "plumb_bob", BENDS[:5]
+    if lens.fisheye:
+        model, bends = "equidistant", ("k1", "k2", "k3", "k4")
+    elif (lens.k4, lens.k5, lens.k6) != (0.0, 0.0, 0.0):
+        model, bends = "rational_polynomial", BENDS
     unused = dict.fromkeys(("x_offset", "y_offset", "height", "width", "do_rectify"), 0)
     return {
         "height": rig.camera.height_px,
         "width": rig.camera.width_px,
-        "distortion_model": "plumb_bob",
-        "d": [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3],
+        "distortion_model": model,
+        "d": [getattr(lens, name) for name in bends],
         "k": [focal, 0.0, u, 0.0, focal, v, 0.0, 0.0, 1.0],
         "r": np.eye(3).ravel().tolist(),
         "p": [focal, 0.0, u, 0.0, 0.0, focal, v, 0.0, 0.0, 0.0, 1.0, 0.0],

@@ -15,13 +15,24 @@ import numpy as np
 from lscan.acquisition.run import Run, require_same_files
 from lscan.board.chessboard import charuco_board
 from lscan.calibration.metric.views import Charuco, Chessboard, Dots, HeldBoard
+from lscan.camera.optics import CameraModel, undistort
+from lscan.camera.posedboards import BENDS
 from lscan.config.board import Board, Grid, Plate, load_board
 from lscan.config.documents import Document, Strict, check, read_document, write_toml
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture
 from lscan.records import Bytes, Floats, Mask, Picture, Progress, Status
-from sim.scene import SECTIONS, Scene, at_moment, camera_pose, rotation, scene_of, sheet_pose
+from sim.scene import (
+    SECTIONS,
+    PlanePort,
+    Scene,
+    at_moment,
+    camera_pose,
+    rotation,
+    scene_of,
+    sheet_pose,
+)
 from sim.scene.file import check_samples, is_changing
 from sim.scene.matter import Texture
 from sim.truth import board_truth, line_brightness, project, stripe_truths
@@ -467,14 +478,20 @@ def _draw(scene: Scene, generator: np.random.Generator) -> Poses:
     """Poses at random, their middles seen all over the picture.
 
     Rays near the axis are those of a pinhole with the water's index times the focal length,
-    near enough for a place to try.
+    near enough for a place to try; behind a dome, of one in air.
     """
     drawn = generator.uniform(-1, 1, (TRIED, 5))
     camera, lens = camera_pose(scene.tank.head), scene.tank.lens
     size = np.array(scene.rig.camera.size_px)
     pixel = (drawn[:, 3:] + 1) / 2 * (size - 1)
-    apparent = lens.focal_px * water_optics(scene.tank.water, scene.tank.laser.wavelength_nm).index
-    ahead = np.column_stack([(pixel - np.array(lens.centre_px)) / apparent, np.ones(TRIED)])
+    places = (pixel - np.array(lens.centre_px)) / lens.focal_px
+    if lens.model != "brown":
+        bends = {name: getattr(lens, name) for name in BENDS}
+        fisheye = lens.model == "fisheye"
+        places = undistort(CameraModel(1.0, (0.0, 0.0), **bends, fisheye=fisheye), places)
+    if isinstance(scene.tank.port, PlanePort):
+        places /= water_optics(scene.tank.water, scene.tank.laser.wavelength_nm).index
+    ahead = np.column_stack([places, np.ones(TRIED)])
     ray = ahead @ camera.rotation.T
     laser = scene.tank.laser
     sheet = sheet_pose(laser, laser.sheets[0])

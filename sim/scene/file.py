@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from lscan.camera.posedboards import BENDS
 from lscan.config.board import Board
 from lscan.config.documents import Document, Strict, check, read_document
 from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
@@ -264,10 +265,11 @@ def check_lens(scene: Scene) -> None:
     lens, camera = scene.tank.lens, scene.rig.camera
     if instrument.is_folded(lens, camera.width_px, camera.height_px):
         raise InputError(
-            "lens: the distortion folds the picture before its corners",
+            "lens: the distortion folds the picture before its corners, or 90 degrees off the axis "
+            "are nearer than these",
             where=scene.source,
-            value={name: getattr(lens, name) for name in ("k1", "k2", "k3", "p1", "p2")},
-            allowed="coefficients whose distortion has an inverse all over the picture",
+            value={name: value for name in BENDS if (value := getattr(lens, name))},
+            allowed="coefficients, and a focal_px, with an inverse all over the picture",
         )
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, model_validator
 
+from lscan.camera.posedboards import LensKind
 from lscan.config.documents import Strict
 from lscan.records import Floats
 
@@ -26,8 +27,10 @@ Glass = Annotated[float, Field(ge=1, le=2.5)] | Literal["N-BK7", "fused silica",
 
 
 class Lens(Strict):
-    """Pinhole with Brown-Conrady distortion, as OpenCV writes it, in px of the picture.
+    """Pinhole with distortion as OpenCV writes it, in px of the picture.
 
+    model: "brown" (k1 to k3, p1, p2), "rational" (k4 to k6 too) or "fisheye", by the angle off
+    the axis instead of its tangent (k1 to k4).
     vignetting: the exponent of the cosine with which light falls off the axis; 4 is the
     natural law.  focus_mm: distance from the pinhole, in air and along the axis, that is
     sharp; nothing is blurred by defocus where it is left out.  blur_px: standard deviation
@@ -35,11 +38,15 @@ class Lens(Strict):
     second Gaussian of ``glare_px``.
     """
 
+    model: LensKind = "brown"
     focal_px: PositiveFloat
     centre_px: tuple[float, float]
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0
+    k4: float = 0.0
+    k5: float = 0.0
+    k6: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
     f_number: Annotated[float, Field(ge=0.5, le=64)] = 2.8
@@ -49,6 +56,14 @@ class Lens(Strict):
     blur_px: Annotated[float, Field(ge=0, le=1000)] = 0.7
     glare: Annotated[float, Field(ge=0, lt=1)] = 0.0
     glare_px: Annotated[float, Field(gt=0, le=1000)] = 20.0
+
+    @model_validator(mode="after")
+    def _coefficients_of_its_model(self) -> Self:
+        foreign = {"brown": ("k4", "k5", "k6"), "fisheye": ("k5", "k6", "p1", "p2")}
+        for name in foreign.get(self.model, ()):
+            if getattr(self, name):
+                raise ValueError(f'{name} is no coefficient of model = "{self.model}"')
+        return self
 
 
 class PlanePort(Strict):
@@ -344,7 +359,8 @@ class Sensor(Strict):
 # radial part, beyond whose turn neither truth nor instrument follow a lens.
 #
 # Tangents are complex here, z = x + i y.  With q = |z|2 and P = p2 + i p1 the distortion (Brown
-# 1971, Conrady 1919, as OpenCV writes it) is z R(q) + conj(P) z2 + 2 P q.  Its derivatives by z and
+# 1971, Conrady 1919, as OpenCV writes it) is z R(q) + conj(P) z2 + 2 P q; of a fisheye, R is the
+# distorted angle over the tangent of the angle (Kannala & Brandt 2006).  Its derivatives by z and
 # by conj(z) are a = R + q R' + 4 Re(conj(P) z), which is real, and b = z2 R' + 2 P z; the
 # determinant is a2 - |b|2.
 
@@ -394,9 +410,18 @@ def is_folded(lens: Lens, width_px: int, height_px: int) -> bool:
 
 def _terms(lens: Lens, z: Complexes) -> tuple[Floats, Floats, Floats, complex]:
     """q, R, R' and P."""
-    q = z.real**2 + z.imag**2
-    radial = 1 + q * (lens.k1 + q * (lens.k2 + q * lens.k3))
-    return q, radial, lens.k1 + q * (2 * lens.k2 + q * 3 * lens.k3), complex(lens.p2, lens.p1)
+    q, k1, k2, k3, k4 = z.real**2 + z.imag**2, lens.k1, lens.k2, lens.k3, lens.k4
+    decentring = complex(lens.p2, lens.p1)
+    if lens.model == "fisheye":
+        tangent = np.maximum(np.sqrt(q), 1e-5)  # nearer to the axis the slope would lose its digits
+        s = np.arctan(tangent) ** 2
+        radial = np.sqrt(s) / tangent * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
+        growth = 1 + s * (3 * k1 + s * (5 * k2 + s * (7 * k3 + s * 9 * k4)))
+        return q, radial, (growth / (1 + tangent**2) - radial) / (2 * tangent**2), decentring
+    radial = 1 + q * (k1 + q * (k2 + q * k3))
+    below = 1 + q * (k4 + q * (lens.k5 + q * lens.k6))
+    slope, sinks = k1 + q * (2 * k2 + q * 3 * k3), k4 + q * (2 * lens.k5 + q * 3 * lens.k6)
+    return q, radial / below, (slope - radial / below * sinks) / below, decentring
 
 
 def _distort(lens: Lens, z: Complexes) -> Complexes:

@@ -68,8 +68,13 @@ def directions(lens: Lens, size_px: tuple[int, int]) -> Floats:
     u, v = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
     (cx, cy), focal = lens.centre_px, lens.focal_px
     matrix = np.array([[focal, 0, cx], [0, focal, cy], [0, 0, 1.0]])
-    distortion = np.array([lens.k1, lens.k2, lens.p1, lens.p2, lens.k3])
     pixels = np.stack([u, v], axis=-1).reshape(-1, 1, 2)
+    if lens.model == "fisheye":
+        distortion = np.array([lens.k1, lens.k2, lens.k3, lens.k4])
+        undistorted = cv2.fisheye.undistortPoints(pixels, matrix, distortion, criteria=UNDISTORT)
+        return np.asarray(undistorted, dtype=float).reshape(height, width, 2)
+    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+    distortion = np.array([getattr(lens, name) for name in names])
     # With OpenCV 4, undistortPoints takes no criteria; with 5, there is no other function.
     undistort = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)
     undistorted = undistort(pixels, matrix, distortion, R=None, P=None, criteria=UNDISTORT)

@@ -5,6 +5,7 @@ from itertools import pairwise
 from math import hypot
 
 import numpy as np
+from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 from scipy.optimize.elementwise import find_root
 
@@ -281,7 +282,8 @@ def rays_to(camera: TrueCamera, points_head_mm: Floats) -> RaysToPoints:
 def image(camera: TrueCamera, direction: Floats) -> Floats:
     """(N, 2) pixels of (N, 3) directions in air, camera frame; NaN where there is no image.
 
-    Distortion as OpenCV's documentation writes it (Brown 1971, Conrady 1919).
+    Distortion as OpenCV's documentation writes it (Brown 1971, Conrady 1919; of a fisheye, the
+    angle off the axis in its place: Kannala and Brandt, IEEE PAMI 28 (2006) 1335).
 
     Parameters
     ----------
@@ -291,9 +293,17 @@ def image(camera: TrueCamera, direction: Floats) -> Floats:
     lens = camera.lens
     ahead = np.where(direction[:, 2] > 0, direction[:, 2], np.nan)
     x, y = direction[:, 0] / ahead, direction[:, 1] / ahead
+    if lens.model == "fisheye":
+        beside = np.hypot(direction[:, 0], direction[:, 1])
+        angle = np.arctan2(beside, ahead)
+        angle = np.where(angle < fold_radius(lens), angle, np.nan)
+        bends = [0, 1, 0, lens.k1, 0, lens.k2, 0, lens.k3, 0, lens.k4]
+        radius = Polynomial(bends)(angle) / np.where(beside > 0, beside, 1.0)
+        return lens.focal_px * radius[:, None] * direction[:, :2] + np.array(lens.centre_px)
     q = x**2 + y**2
     q = np.where(np.hypot(x, y) < fold_radius(lens), q, np.nan)
     radial = 1 + q * (lens.k1 + q * (lens.k2 + q * lens.k3))
+    radial = radial / (1 + q * (lens.k4 + q * (lens.k5 + q * lens.k6)))
     distorted = np.column_stack(
         [
             x * radial + 2 * lens.p1 * x * y + lens.p2 * (q + 2 * x**2),
@@ -306,20 +316,39 @@ def image(camera: TrueCamera, direction: Floats) -> Floats:
 def fold_radius(lens: Lens) -> float:
     """Undistorted radius where the radial distortion turns back; infinite where it never does.
 
-    With w the inverse of the squared radius, the distorted radius grows as
-    w^3 + 3 k1 w^2 + 5 k2 w + 7 k3 has it.  Between places where that turns there is one root at
-    most, which is bracketed there; the largest is looked for.
+    Of a fisheye it is an angle, rad.  The distorted radius is a polynomial of the undistorted one,
+    or one over another that must not vanish before; it grows up to the first root of its
+    derivative's numerator.
     """
-    a, b, c = 3 * lens.k1, 5 * lens.k2, 7 * lens.k3
+    above = Polynomial([0, 1, 0, lens.k1, 0, lens.k2, 0, lens.k3])
+    below = Polynomial([1, 0, lens.k4, 0, lens.k5, 0, lens.k6])
+    if lens.model == "fisheye":
+        above = Polynomial([*above.coef, 0, lens.k4])
+        below = Polynomial([1])
+    growth = above.deriv() * below - above * below.deriv()
+    return min(_first_root(growth), _first_root(below))
 
-    def growth(w: float) -> float:
-        return ((w + a) * w + b) * w + c
 
-    beyond = 1 + max(abs(a), abs(b), abs(c))  # Cauchy's bound of the roots
-    root = np.sqrt(max(a * a - 3 * b, 0.0))
-    turns = [turn for turn in ((root - a) / 3, (-root - a) / 3) if 0 < turn < beyond]
-    for high, low in pairwise([beyond, *turns, 0.0]):
-        if growth(low) < 0:
-            found = brentq(growth, low, high, xtol=np.finfo(float).tiny, maxiter=MOST_HALVINGS)
-            return float(1 / np.sqrt(found)) if found > 0 else np.inf
-    return float("inf")
+def _first_root(polynomial: Polynomial) -> float:
+    """The first root above 0 of an even polynomial that is 1 at 0; infinite where it has none.
+
+    It is bracketed in w = 1 / r^2 from above: between places where the polynomial of w turns there
+    is one root at most.
+    """
+    in_w = Polynomial(polynomial.coef[::2][::-1]).trim()
+    largest = max(_roots_above_0(in_w), default=0.0)
+    return float(1 / np.sqrt(largest)) if largest > 0 else float("inf")
+
+
+def _roots_above_0(polynomial: Polynomial) -> list[float]:
+    """The roots above 0 at which a polynomial changes sign, one between two of its turns."""
+    if polynomial.degree() < 1:
+        return []
+    largest = polynomial.coef[-1]
+    beyond = 1 + float(np.abs(polynomial.coef / largest).max())  # Cauchy's bound of the roots
+    places = [0.0, *_roots_above_0(polynomial.deriv()), beyond]
+    return [
+        brentq(polynomial, low, high, xtol=np.finfo(float).tiny, maxiter=MOST_HALVINGS)
+        for low, high in pairwise(places)
+        if polynomial(low) * polynomial(high) < 0
+    ]

@@ -14,6 +14,19 @@ LENS = {
     "p1": st.floats(-2e-3, 2e-3),
     "p2": st.floats(-2e-3, 2e-3),
 }
+RATIONAL = LENS | {
+    "k4": st.floats(-0.1, 0.3),
+    "k5": st.floats(-0.05, 0.1),
+    "k6": st.floats(-0.02, 0.02),
+}
+FISHEYE = {
+    "focal_px": st.floats(200, 1500),
+    "centre_px": LENS["centre_px"],
+    "k1": st.floats(-0.1, 0.1),
+    "k2": st.floats(-0.03, 0.03),
+    "k3": st.floats(-0.01, 0.01),
+    "k4": st.floats(-0.002, 0.002),
+}
 FLAT_PORT = {
     "gap_mm": st.floats(1, 60),
     "thickness_mm": st.floats(0.5, 30),

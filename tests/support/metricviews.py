@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from lscan.calibration.metric.planemap import SheetView
 from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.camera import CameraModel, PortModel, project
+from lscan.camera.posedboards import BENDS
 from lscan.config.rig import OpticsSection
 from lscan.records import Floats, Marks, Status
 
@@ -37,12 +38,12 @@ class Rig:
         """The map as it truly is."""
         c, port = self.camera, self.camera.port
         window = port or PortModel(10.0, 5.0, 1.49, 1.0)
-        theta = [c.focal_px, *c.centre_px, c.k1, c.k2, c.p1, c.p2, c.k3]
+        theta = [c.focal_px, *c.centre_px, *(getattr(c, name) for name in BENDS), c.fisheye]
         theta += [window.gap_mm, window.thickness_mm, window.glass_index, window.water_index]
         theta += [window.tilt_x_deg, window.tilt_y_deg]
         kind: Literal["flat", "none"] = "flat" if port else "none"
         middle = (np.array(SIZE) - 1) / 2
-        return SheetView(np.array(theta), kind, self.q_per_mm, middle)
+        return SheetView(np.array(theta, dtype=float), kind, self.q_per_mm, middle)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,15 @@ from lscan.calibration.physical import (
     unexplained_mm,
 )
 from lscan.calibration.planemap import MapSolver
-from lscan.camera.posedboards import CAMERA, POSE, CameraPriors, PortKind, PosedBoards, priors_of
+from lscan.camera.posedboards import (
+    CAMERA,
+    NEWER,
+    POSE,
+    CameraPriors,
+    PortKind,
+    PosedBoards,
+    priors_of,
+)
 from lscan.camera.resection import (
     MOST_EVALUATIONS,
     TOLERANCE,
@@ -136,8 +144,9 @@ def _require_explained(view: PosedBoards, marks: BoardMarks, pitch_mm: float) ->
 # The map by ray tracing: lens, flat port and pose from one board picture, then Snell's law.
 
 
-K3 = CAMERA.index("k3")  # one picture does not determine it: 0, and not in the file
-NAMES = (*CAMERA[:K3], *CAMERA[K3 + 1 :], *POSE)
+# What one picture does not determine: 0, and not in the file.
+OPEN = [CAMERA.index(name) for name in ("k3", *NEWER)]
+NAMES = tuple(name for k, name in enumerate((*CAMERA, *POSE)) if k not in OPEN)
 COUNT = len(NAMES)
 
 
@@ -180,7 +189,7 @@ class Refractive(PhysicalMap):
         return self._view_of(self.vector)
 
     def _view_of(self, theta: Floats) -> PosedBoards:
-        return PosedBoards(np.insert(theta, K3, 0.0), self.centre_mm, self.port)
+        return PosedBoards(np.insert(theta, [OPEN[0]] * len(OPEN), 0.0), self.centre_mm, self.port)
 
     @cached_property
     def geometry(self) -> SheetGeometry:
@@ -209,7 +218,7 @@ class Refractive(PhysicalMap):
         vector : (19,) array, as ``vector``
         index : float, of the water, relative to air
         """
-        return np.delete(self._view_of(vector).in_water(index).theta, K3)
+        return np.delete(self._view_of(vector).in_water(index).theta, OPEN)
 
     def _fields_of(self, vector: Floats) -> dict[str, Any]:
         return {"theta": dict(zip(NAMES, vector.tolist(), strict=True))}
@@ -273,7 +282,7 @@ class RefractiveSolver(MapSolver[Refractive]):
         solved, sound = _points_of(fit, reading, optics)
         return solved.model_copy(
             update={
-                "modes": compact_root(np.delete(fit.root, K3, axis=0)),
+                "modes": compact_root(np.delete(fit.root, OPEN, axis=0)),
                 "all_modes": True,
                 # The board's own marks do not show where the sheet is: judged without that.
                 "lack_of_fit_mm": unexplained_mm(solved, sound),
@@ -308,7 +317,7 @@ def _points_of(
     outliers = joined_marks(reading).found
     outliers[outliers] = ~fit.good
     sound = without(reading, outliers)
-    theta = np.delete(fit.boards.theta, K3)
+    theta = np.delete(fit.boards.theta, OPEN)
     solved = Refractive(
         port=optics.port,
         theta=dict(zip(NAMES, theta.tolist(), strict=True)),

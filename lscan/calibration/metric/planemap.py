@@ -20,7 +20,7 @@ from lscan.calibration.physical import PhysicalMap, SheetGeometry
 from lscan.calibration.planemap import MapSolver, full_name
 from lscan.camera import project, rays
 from lscan.camera.optics import meet_plane
-from lscan.camera.posedboards import CAMERA, COUNT, WATER, PortKind, camera_of
+from lscan.camera.posedboards import CAMERA, COUNT, NEWER, WATER, PortKind, camera_of, with_newer
 from lscan.camera.resection import Locate, compact_root
 from lscan.config.rig import OpticsSection
 from lscan.errors import InputError
@@ -37,7 +37,7 @@ class SheetView:
 
     Attributes
     ----------
-    theta : (14,) array, the camera (parameters.CAMERA)
+    theta : (18,) array, the camera (parameters.CAMERA)
     port : str, "flat", or "none" for a camera in air
     q_per_mm : (3,) array, 1/mm; the sheet is the plane q . X = 1 of the camera frame
     origin_px : (2,) array, px, the pixel that sees the origin
@@ -94,7 +94,8 @@ class SheetView:
 
 
 def _with_origin(modes: Floats) -> Floats:
-    """Modes of 19 parameters; older files hold those of 17, with the origin exact."""
+    """Modes of 23 parameters; older files hold those of 21, with the origin exact, or less."""
+    modes = with_newer(modes, *(COUNT - len(NEWER) + more for more in (3, 5)))
     return np.pad(modes, ((0, 2), (0, 0))) if len(modes) == COUNT + 3 else modes
 
 
@@ -107,7 +108,7 @@ class Metric(PhysicalMap):
     theta : dict of float, the camera, by name (parameters.CAMERA)
     q_per_mm : (3,) array, 1/mm; the sheet is the plane q . X = 1 of the camera frame
     origin_px : (2,) array, px, the pixel that sees the origin
-    modes : (19, M) array, the covariance of camera, sheet and origin (theta, q, origin_px) is
+    modes : (23, M) array, the covariance of camera, sheet and origin (theta, q, origin_px) is
         modes @ modes.T; the origin is exact but in other water, where it stays the same point
     region : Region, px, where the map holds
     """
@@ -140,7 +141,7 @@ class Metric(PhysicalMap):
 
     @property
     def vector(self) -> Floats:
-        """(19,) theta, q_per_mm and origin_px."""
+        """(23,) theta, q_per_mm and origin_px."""
         return np.concatenate([[*self.theta.values()], self.q_per_mm, self.origin_px])
 
     def _view_of(self, vector: Floats) -> SheetView:
@@ -152,16 +153,16 @@ class Metric(PhysicalMap):
 
         Parameters
         ----------
-        vector : (19,) array, as ``vector``
+        vector : (23,) array, as ``vector``
         """
         return self._view_of(vector).locate
 
     def vector_in_water(self, vector: Floats, index: float) -> Floats:
-        """(19,) parameters of the same rig, its origin the same point, in water of another index.
+        """(23,) parameters of the same rig, its origin the same point, in water of another index.
 
         Parameters
         ----------
-        vector : (19,) array, as ``vector``
+        vector : (23,) array, as ``vector``
         index : float, of the water, relative to air
         """
         view, there = self._view_of(vector), vector.copy()
@@ -184,7 +185,7 @@ def metric_map(view: SheetView, root: Floats, region: Region) -> Metric:
     Parameters
     ----------
     view : SheetView, camera and sheet
-    root : (17, P) array, root @ root.T is the covariance of theta and q
+    root : (21, P) array, root @ root.T is the covariance of theta and q
     region : Region, px, where the map is to hold
     """
     return Metric(

@@ -156,7 +156,7 @@ class PlaneEquations:
     Parameters
     ----------
     fit : CameraFit, camera and poses
-    free : (14,) mask, of the camera's parameters that were found
+    free : (18,) mask, of the camera's parameters that were found
     lines : dict of LinePoints, px, by number of the board
     """
 
@@ -283,7 +283,7 @@ class PlaneEquations:
         return takes @ np.hstack([by_theta @ self._poses_root, np.eye(takes.shape[1]), shared])
 
     def joint_root(self, q: Floats, takes: Floats, own: Floats) -> Floats:
-        """(14 + 3, P) square root of the covariance of theta and q.
+        """(18 + 3, P) square root of the covariance of theta and q.
 
         Parameters
         ----------
@@ -514,7 +514,7 @@ class LaserPlane:
     Attributes
     ----------
     q_per_mm : (3,) array, 1/mm, its normal over its distance from the pinhole
-    root : (14 + 3, P) array, root @ root.T is the covariance of the camera's theta and of q
+    root : (18 + 3, P) array, root @ root.T is the covariance of the camera's theta and of q
         together
     good : dict of mask, by board, of the line points it rests on
     faults : dict of str, by board, why a line was left out
@@ -540,7 +540,7 @@ def find_plane(fit: CameraFit, free: Mask, lines: dict[int, LinePoints]) -> Lase
     Parameters
     ----------
     fit : CameraFit, camera and poses
-    free : (14,) mask, of the camera's parameters that were found
+    free : (18,) mask, of the camera's parameters that were found
     lines : dict of LinePoints, px, by number of the board
 
     Raises

@@ -19,6 +19,8 @@ from lscan.camera.posedboards import (
     LEAST,
     POSE,
     CameraPriors,
+    LensChoice,
+    LensKind,
     PortKind,
     PosedBoards,
     priors_of,
@@ -30,6 +32,7 @@ from lscan.camera.resection import (
     best_start,
     chi_square,
     fit_boards,
+    posed_boards,
     sound_marks,
     with_covariance,
 )
@@ -169,8 +172,8 @@ TOLERANCE = 1e-12  # relative change of the sum of squares
 SETTLED = 1e-3  # relative change of chi squared
 MOST_NAMED = 12  # views that a message names
 NO_MODEL = (
-    "the lens is none that the model describes (it has none of a fisheye), the port is not as "
-    "[optics] says, or the board not as the file says"
+    'the lens is none that its model describes (lens = "brown", "rational" or "fisheye" is), '
+    "the port is not as [optics] says, or the board not as the file says"
 )
 TILTED = "hold it at different tilts, 20 to 45 deg, to different sides"
 
@@ -266,6 +269,106 @@ def fit_views(
     if message:
         raise UnsolvedViews(message, fitted_views(views, used))
     return used
+
+
+# Which model of a lens, where the file leaves it open: what best predicts views held out of it.
+
+
+LENSES: tuple[LensKind, ...] = ("brown", "fisheye", "rational")  # in the order of preference
+FOLDS = 4  # parts into which the views are cut, each predicted by the others
+BETTER_LENS = 1.02  # times less a later one must leave of the views held out
+
+
+def fit_lens(
+    views: Sequence[CalibrationView],
+    optics: OpticsSection,
+    image_size: tuple[int, int],
+    k3: Known,
+    lens: LensChoice,
+) -> tuple[UsedViews, LensKind]:
+    """Camera and poses, and the model of the lens, chosen where it is left open.
+
+    Brown's model stays where it leaves of the marks what they state of themselves; and behind a
+    flat port, which bends rays as a wider lens does.  Else each model is fitted to three quarters
+    of the views in turn, and that is taken which then misses the marks of the rest least, the
+    boards' poses apart.
+
+    Parameters
+    ----------
+    views : sequence of CalibrationView, px and mm
+    optics : OpticsSection, what is known of the camera beforehand
+    image_size : tuple of int, (width, height) of the pictures, px
+    k3 : tuple of float, third radial coefficient and its standard uncertainty
+    lens : str, a LensKind, or "auto"
+
+    Raises
+    ------
+    UnsolvedViews
+        As ``fit_views``; where all models fail, as Brown's does.
+    """
+    if lens == "auto" and optics.port == "flat":
+        lens = "brown"
+    fits: dict[LensKind, UsedViews] = {}
+    failed: UnsolvedViews | None = None
+    # Of focal length and centre nothing is assumed: several poses determine them.
+    priors = {
+        kind: priors_of(optics, image_size, k3, assume_webcam=False, lens=kind)
+        for kind in LENSES
+        if lens in (kind, "auto")
+    }
+    for kind, of_lens in priors.items():
+        try:
+            fits[kind] = fit_views(views, optics, of_lens, image_size)
+        except UnsolvedViews as error:
+            failed = failed or error
+        else:
+            if kind == lens or (kind == "brown" and not _is_missed(fits[kind], views)):
+                return fits[kind], kind
+    if not fits:
+        assert failed is not None
+        raise failed
+    numbers = sorted({number for used in fits.values() for number in used.numbers})
+    found = [seen for number in numbers if (seen := views[number].marks) is not None]
+    marks = found_on(found, range(len(numbers)))
+    left = {kind: _held_out_px(fits[kind].fit.boards, marks, priors[kind]) for kind in fits}
+    chosen = next(kind for kind in fits if left[kind] <= BETTER_LENS * min(left.values()))
+    return fits[chosen], chosen
+
+
+def _is_missed(used: UsedViews, views: Sequence[CalibrationView]) -> bool:
+    """Whether the marks lie farther off than they state of themselves."""
+    seen = [marks for number in used.numbers if (marks := views[number].marks) is not None]
+    own = np.concatenate([marks.sigma_px[marks.found] for marks in seen])
+    return left_px(used.fit) > COMMON * float(np.median(own))
+
+
+def _held_out_px(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) -> float:
+    """Px rms by which cameras miss the boards' marks that were fitted to other boards alone."""
+    boards = np.unique(marks.board)
+    held = replace(priors, sigma=np.zeros(COUNT))
+    missed = []
+    for fold in range(min(FOLDS, len(boards))):
+        apart = boards[fold::FOLDS]
+        known, rest = (
+            _renumbered(select(marks, np.isin(marks.board, apart, invert=way)))
+            for way in (True, False)
+        )
+        posed = posed_boards(start.theta, start.port, known)
+        if posed is None:
+            return np.inf
+        theta = fit_boards(posed, known, priors, TOLERANCE).theta[:COUNT]
+        if (posed := posed_boards(theta, start.port, rest)) is None:
+            return np.inf
+        seen = fit_boards(posed, rest, replace(held, mean=theta), TOLERANCE)
+        missed.append(np.hypot(*rest.missed_px(seen).T))
+    lengths = np.concatenate(missed)
+    sound = sound_marks(lengths / max(float(np.median(lengths)), 1e-12))
+    return float(np.sqrt(np.mean(lengths[sound] ** 2)))
+
+
+def _renumbered(marks: BoardMarks) -> BoardMarks:
+    """The marks, their boards counted from 0."""
+    return replace(marks, board=np.unique(marks.board, return_inverse=True)[1])
 
 
 def fitted_views(views: Sequence[CalibrationView], used: UsedViews) -> list[FittedView]:
@@ -439,8 +542,9 @@ class SolvedViews:
     views : tuple of FittedView, as read, and what became of each
     optics : OpticsSection, what was known of the camera
     k3 : tuple of float, third radial coefficient and its standard uncertainty beforehand
+    lens : str, the model of the lens, as it was stated or chosen
     image_size : tuple of int, (width, height) of the pictures, px
-    sigma : (14,) array, standard uncertainties of the camera (parameters.CAMERA), 0 of what was
+    sigma : (18,) array, standard uncertainties of the camera (parameters.CAMERA), 0 of what was
         held
     software : str, name and version of the program that solved it
     """
@@ -448,6 +552,7 @@ class SolvedViews:
     views: tuple[FittedView, ...]
     optics: OpticsSection
     k3: Known
+    lens: LensKind
     image_size: tuple[int, int]
     sigma: Floats
     software: str
@@ -474,7 +579,7 @@ class CameraCalibration(SolvedViews):
 
     Attributes
     ----------
-    theta : (14,) array, the camera (parameters.CAMERA)
+    theta : (18,) array, the camera (parameters.CAMERA)
     """
 
     theta: Floats
@@ -506,7 +611,7 @@ class MetricCalibration(SolvedViews):
 
     @property
     def theta(self) -> Floats:
-        """(14,) the camera (parameters.CAMERA)."""
+        """(18,) the camera (parameters.CAMERA)."""
         return self.plane_map.view.theta
 
     @property
@@ -526,6 +631,7 @@ def calibrate_camera(
     optics: OpticsSection,
     image_size: tuple[int, int],
     k3: Known = (0.0, 0.0),
+    lens: LensChoice = "auto",
 ) -> CameraCalibration:
     """The camera alone from views of a board in several poses; a laser line is not needed.
 
@@ -535,6 +641,7 @@ def calibrate_camera(
     optics : OpticsSection, what is known of the camera beforehand
     image_size : tuple of int, (width, height) of the pictures, px
     k3 : tuple of float, third radial coefficient and its standard uncertainty; held at 0 by default
+    lens : str, "brown", "rational", "fisheye", or "auto": chosen by views held out
 
     Raises
     ------
@@ -547,9 +654,8 @@ def calibrate_camera(
     views = [
         view if view.marks is None else CalibrationView(view.name, view.marks) for view in views
     ]
-    priors = priors_of(optics, image_size, k3, assume_webcam=False)
-    used = fit_views(views, optics, priors, image_size)
-    solved = _solved_fields(used, fitted_views(views, used), optics, image_size, k3)
+    used, kind = fit_lens(views, optics, image_size, k3, lens)
+    solved = _solved_fields(used, fitted_views(views, used), optics, image_size, k3, kind)
     return CameraCalibration(theta=used.fit.boards.theta[:COUNT], **solved)
 
 
@@ -558,6 +664,7 @@ def calibrate_metric(
     optics: OpticsSection,
     image_size: tuple[int, int],
     k3: Known = (0.0, 0.0),
+    lens: LensChoice = "auto",
 ) -> MetricCalibration:
     """The camera, the laser's sheet and the map from views of a board in several poses.
 
@@ -569,6 +676,7 @@ def calibrate_metric(
     optics : OpticsSection, what is known of the camera beforehand
     image_size : tuple of int, (width, height) of the pictures, px
     k3 : tuple of float, third radial coefficient and its standard uncertainty; held at 0 by default
+    lens : str, "brown", "rational", "fisheye", or "auto": chosen by views held out
 
     Raises
     ------
@@ -582,9 +690,7 @@ def calibrate_metric(
     ----------
     Z. Zhang, "A flexible new technique for camera calibration", IEEE PAMI 22 (2000).
     """
-    # Of focal length and centre nothing is assumed: several poses determine them.
-    priors = priors_of(optics, image_size, k3, assume_webcam=False)
-    used = fit_views(views, optics, priors, image_size)
+    used, kind = fit_lens(views, optics, image_size, k3, lens)
     fitted = fitted_views(views, used)
     lines = {
         board: line
@@ -592,7 +698,8 @@ def calibrate_metric(
         if (line := views[number].line) is not None
     }
     try:
-        plane = find_plane(used.fit, priors.free, lines)
+        free = priors_of(optics, image_size, k3, assume_webcam=False, lens=kind).free
+        plane = find_plane(used.fit, free, lines)
     except MeasurementError as error:
         faults = error.faults if isinstance(error, NoLaserPlane) else {}
         for board, fault in faults.items():
@@ -603,7 +710,7 @@ def calibrate_metric(
         number = used.numbers[board]
         fitted[number] = _with_line(fitted[number], board, plane)
     plane_map = _map_of(used, lines, plane, optics, image_size)
-    solved = _solved_fields(used, fitted, optics, image_size, k3)
+    solved = _solved_fields(used, fitted, optics, image_size, k3, kind)
     return MetricCalibration(plane_map=plane_map, **solved)
 
 
@@ -613,12 +720,14 @@ def _solved_fields(
     optics: OpticsSection,
     image_size: tuple[int, int],
     k3: Known,
+    lens: LensKind,
 ) -> dict[str, Any]:
     """The fields of a SolvedViews."""
     return {
         "views": tuple(views),
         "optics": optics,
         "k3": k3,
+        "lens": lens,
         "image_size": image_size,
         "sigma": np.linalg.norm(used.fit.root[:COUNT], axis=1),
         "software": f"lscan {__version__}",

@@ -12,6 +12,7 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
 from lscan.calibration.marks import Region, region_around
+from lscan.camera.posedboards import LensChoice
 from lscan.config.board import load_board
 from lscan.config.documents import Strict, check, read_document
 from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
@@ -229,7 +230,9 @@ class ViewsDocument(Strict):
     """The whole file.
 
     channel: in which the board is looked for.  k3: third radial coefficient and its standard
-    uncertainty, beside the section [optics].
+    uncertainty, beside the section [optics].  lens: the model of the lens, Brown's, the rational
+    one or a fisheye's (Kannala and Brandt's), or "auto": with no port, or a dome, that which
+    predicts best the views that it was not fitted to.
     """
 
     name: str = "unnamed"
@@ -237,6 +240,7 @@ class ViewsDocument(Strict):
     board: HeldBoard
     optics: OpticsSection = OpticsSection()
     k3: Known = (0.0, 0.0)
+    lens: LensChoice = "auto"
     stripe: StripeSection = StripeSection()
     view: Annotated[tuple[ViewEntry, ...], Field(min_length=1, max_length=1000)]
 

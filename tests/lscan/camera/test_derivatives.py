@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_strategies import FLAT_PORT, LENS
+from camera_strategies import FISHEYE, FLAT_PORT, LENS, RATIONAL
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 
@@ -14,6 +14,7 @@ from lscan.camera.posedboards import (
     CAMERA,
     COUNT,
     LENS as OF_LENS,
+    NEWER,
     OWN,
     POSE,
     PortKind,
@@ -25,13 +26,19 @@ from lscan.camera.posedboards import (
 )
 from lscan.records import Floats
 
-CAMERAS = st.fixed_dictionaries(
-    {**LENS, **FLAT_PORT, "water_index": st.floats(1.0, 1.345), "k1": st.floats(-0.1, 0.1)}
-)
+PORT = {**FLAT_PORT, "water_index": st.floats(1.0, 1.345)}
+NONE = dict.fromkeys(NEWER, 0.0)
+CAMERAS = (
+    st.fixed_dictionaries({**RATIONAL, **PORT, "k1": st.floats(-0.1, 0.1)})
+    | st.fixed_dictionaries({**LENS, **PORT, "k1": st.floats(-0.1, 0.1)})
+    | st.fixed_dictionaries({**FISHEYE, **PORT, "fisheye": st.just(1.0)})
+).map(lambda values: {**NONE, "p1": 0.0, "p2": 0.0, **values})
 BOARDS = 3
 
 # Each moves the picture by some 1e-6 to 0.1 px, by the camera and by the pose.
-CAMERA_STEPS = [0.05, 0.05, 0.05, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4, 0.01, 0.01, 1e-4, 1e-4, 1e-3, 1e-3]
+CAMERA_STEPS = [0.05, 0.05, 0.05, 1e-4, 1e-4, 1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4]
+CAMERA_STEPS += [1e-3]  # of whether it is a fisheye, which nothing changes with
+CAMERA_STEPS += [0.01, 0.01, 1e-4, 1e-4, 1e-3, 1e-3]
 STEPS = np.array([*CAMERA_STEPS, 1e-5, 1e-5, 1e-5, 0.01, 0.01, 1e-5])
 # Pixels and mm of up to 1e3 round at 1e-13, and at ten times that after a search; what is left of
 # differences of fourth order, and of second order by the turns inside, is 1e-7 of a derivative.
@@ -97,7 +104,7 @@ def test_derivatives_agree_with_differences(
 
 def test_a_bent_board_is_seen_and_met_where_it_is() -> None:
     """By central differences; and a ray through a point's pixel meets the board there again."""
-    theta = np.array([800.0, 320, 240, -0.1, 0, 0, 0, 0, *np.zeros(6), 0.4, -0.3, 0.1, 330, 230, 1])
+    theta = np.array([800.0, 320, 240, -0.1, *np.zeros(14), 0.4, -0.3, 0.1, 330, 230, 1])
     bend, step = np.array([2e-5, -1e-5, 3e-5]), 1e-7
     boards = PosedBoards(theta, np.array([5.0, -3.0]), "none", bend)
     places, board = np.array([[90.0, 40.0], [-70.0, 10.0], [5.0, -60.0]]), np.zeros(3, dtype=int)
@@ -113,19 +120,20 @@ def test_a_bent_board_is_seen_and_met_where_it_is() -> None:
 
 def test_a_port_that_is_not_there_has_no_derivative() -> None:
     boards = PosedBoards(
-        np.array([800.0, 320, 240, -0.1, 0, 0, 0, 0, *np.zeros(6), 0.1, 0.2, 0.1, 330, 230, 0.7]),
+        np.array([800.0, 320, 240, -0.1, *np.zeros(14), 0.1, 0.2, 0.1, 330, 230, 0.7]),
         np.zeros(2),
         "none",
     )
     found = image_derivatives(boards, np.array([[10.0, 20.0]]), np.array([0]))
     assert (found[:, :, len(OF_LENS) : COUNT] == 0).all()
-    assert (found[:, :, : len(OF_LENS)] != 0).any(axis=1).all()
+    assert (found[:, :, : len(OF_LENS) - 1] != 0).any(axis=1).all()
+    assert (found[:, :, CAMERA.index("fisheye")] == 0).all()
 
 
 def test_where_there_is_no_image_there_is_no_derivative() -> None:
     """A board behind the camera."""
     pose = [0.1, 0.2, 0.1, 330.0, 230.0, -0.7]
-    theta = np.array([800.0, 320, 240, -0.1, 0, 0, 0, 0, 10, 6, 1.49, 1.33, 1, 1, *pose])
+    theta = np.array([800.0, 320, 240, -0.1, *np.zeros(8), 10, 6, 1.49, 1.33, 1, 1, *pose])
     boards = PosedBoards(theta, np.zeros(2))
     assert np.isnan(image_derivatives(boards, np.array([[10.0, 20.0]]), np.array([0]))).all()
 

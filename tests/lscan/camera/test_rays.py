@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from camera_strategies import FLAT_PORT, LENS
+from camera_strategies import FISHEYE, FLAT_PORT, LENS, RATIONAL
 from drawn_examples import examples
 from hypothesis import given, strategies as st
 
@@ -14,7 +14,11 @@ from lscan.records import Floats
 
 MANY = examples(60)
 PORTS = st.builds(PortModel, **FLAT_PORT, water_index=st.floats(1.0, 1.345))
-CAMERAS = st.builds(CameraModel, **LENS, port=st.none() | PORTS)
+CAMERAS = (
+    st.builds(CameraModel, **LENS, port=st.none() | PORTS)
+    | st.builds(CameraModel, **RATIONAL, port=st.none() | PORTS)
+    | st.builds(CameraModel, **FISHEYE, fisheye=st.just(True), port=st.none() | PORTS)
+)
 
 
 def points_ahead(seed: int, count: int = 60) -> Floats:
@@ -97,16 +101,27 @@ def test_snell_at_both_faces(port: PortModel, seed: int) -> None:
 @MANY
 @given(camera=CAMERAS, seed=st.integers(0, 1000))
 def test_in_air_it_is_opencv(camera: CameraModel, seed: int) -> None:
-    """OpenCV's projectPoints, the definition of the distortion's parameters."""
+    """OpenCV's two projectPoints, the definition of the distortion's parameters."""
     air = CameraModel(**{**camera.__dict__, "port": None})
     points = points_ahead(seed)
     tangents = np.linalg.norm(points[:, :2] / points[:, 2:], axis=1)
     points = points[tangents < 0.99 * fold_radius(air)]
     u, v = air.centre_px
     matrix = np.array([[air.focal_px, 0, u], [0, air.focal_px, v], [0, 0, 1.0]])
-    lens = np.array([air.k1, air.k2, air.p1, air.p2, air.k3])
-    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, lens)
-    np.testing.assert_allclose(project(air, points), expected[:, 0], rtol=0, atol=1e-9)
+    still = np.zeros(3)
+    if air.fisheye:
+        lens = np.array([air.k1, air.k2, air.k3, air.k4])
+        expected, _ = cv2.fisheye.projectPoints(points[:, None], still, still, matrix, lens)
+    else:
+        lens = np.array([air.k1, air.k2, air.p1, air.p2, air.k3, air.k4, air.k5, air.k6])
+        expected, _ = cv2.projectPoints(points, still, still, matrix, lens)
+    np.testing.assert_allclose(project(air, points), expected.reshape(-1, 2), rtol=0, atol=1e-9)
+
+
+def test_a_rational_lens_ends_at_its_pole() -> None:
+    """r / (1 - q/4) grows without bound up to r = 2, r / (1 + q/9) turns at 3; both are the end."""
+    assert fold_radius(CameraModel(1.0, (0.0, 0.0), k4=-0.25)) == pytest.approx(2.0, abs=1e-12)
+    assert fold_radius(CameraModel(1.0, (0.0, 0.0), k4=1 / 9)) == pytest.approx(3.0, abs=1e-12)
 
 
 def test_a_port_of_air_is_no_port() -> None:

@@ -22,6 +22,7 @@ from lscan.acquisition.writer import create_run
 from lscan.calibration.calibrationfile import load_calibration, save_calibration
 from lscan.calibration.marks import Region
 from lscan.calibration.metric.planemap import Metric, metric_map
+from lscan.camera import CameraModel
 from lscan.errors import InputError
 from lscan.pipeline import build_surface, read_profiles, reconstruct
 from lscan.records import Floats, Frame, Status, Surface
@@ -180,6 +181,33 @@ def test_points_lie_on_the_line_in_the_picture(
         line = extract_stripe(frame.image, run.rig_file.rig.stripe).image_px[valued]
         # Single precision of a metre is a ten-thousandth of a pixel.
         assert np.linalg.norm(shown[:, 0] - line, axis=1).max() < camera.off_px + 1e-3
+
+
+@pytest.mark.parametrize(
+    ("lens", "model", "d"),
+    [
+        (CameraModel(500.0, (1.0, 2.0), 1, 2, 3, 4, 5), "plumb_bob", [1, 2, 3, 4, 5]),
+        (
+            CameraModel(500.0, (1.0, 2.0), 1, 2, 3, 4, 5, 6, 7, 8),
+            "rational_polynomial",
+            [1, 2, 3, 4, 5, 6, 7, 8],
+        ),
+        (
+            CameraModel(500.0, (1.0, 2.0), 1, 2, k3=3, k4=4, fisheye=True),
+            "equidistant",
+            [1, 2, 3, 4],
+        ),
+    ],
+)
+def test_a_lens_is_named_as_its_readers_know_it(
+    tmp_path: Path, lens: CameraModel, model: str, d: list[float]
+) -> None:
+    """sensor_msgs/distortion_models.h of ROS, and the order of each one's coefficients there."""
+    run = flat_run(tmp_path / "run", 1)
+    camera = replace(head_camera(metric(water=False), run.rig_file.rig), lens=lens)
+    write_recording(tmp_path / "run.mcap", run, stamps_ns(run), None, camera)
+    (info,) = read(tmp_path / "run.mcap")[LENS]
+    assert (info.distortion_model, list(info.d)) == (model, d)
 
 
 def test_frames_are_named_from_the_world_to_the_camera(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from places import SCENES
 
+from lscan.camera.posedboards import LensKind
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.render.firstorder import Defocus
@@ -82,7 +83,7 @@ def grid(count: int = 9) -> Floats:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-def random_rig(seed: int, dome: bool) -> Scene:
+def random_rig(seed: int, dome: bool, model: LensKind = "brown") -> Scene:
     """Any lens that does not fold, behind a port up to 8 degrees askew, or behind a dome up to 0.87
     of its radius off the pinhole."""
     generator = np.random.default_rng([seed, dome])
@@ -93,6 +94,8 @@ def random_rig(seed: int, dome: bool) -> Scene:
             k1=between(-0.3, 0.2), k2=between(-0.05, 0.1), p1=between(-2e-3, 2e-3),
             p2=between(-2e-3, 2e-3),
         )  # fmt: skip
+        if model != "brown":
+            lens = wide_lens(model, generator)
         tilt, glass, radius = pair(-8, 8), between(1.4, 1.7), between(20, 100)
         port: Port = PlanePort(
             gap_mm=between(1, 60), thickness_mm=between(1, 25), glass_index=glass,
@@ -114,8 +117,28 @@ def random_rig(seed: int, dome: bool) -> Scene:
             return scene
 
 
-@pytest.mark.parametrize("dome", [False, True])
-def test_a_ray_passes_through_what_its_pixel_sees(dome: bool) -> None:
+def wide_lens(model: LensKind, generator: np.random.Generator) -> Lens:
+    """A fisheye, or a rational lens, of up to 150 degrees from corner to corner."""
+    u, v, *k = generator.uniform(-1, 1, 6)
+    centre = (320 + 5 * u, 240 + 5 * v)
+    if model == "fisheye":
+        return Lens(
+            model=model, focal_px=generator.uniform(300, 700), centre_px=centre,
+            k1=0.05 * k[0], k2=0.01 * k[1], k3=0.003 * k[2], k4=0.0005 * k[3],
+        )  # fmt: skip
+    # About the arctangent's: the angle off the axis over its tangent.
+    return Lens(
+        model=model, focal_px=generator.uniform(300, 700), centre_px=centre, p1=1e-4 * k[3],
+        k1=0.78 + 0.02 * k[0], k2=0.068, k4=1.11 + 0.02 * k[1], k5=0.238, k6=0.001 * k[2],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("dome", "model"),
+    [(dome, "brown") for dome in (False, True)]
+    + [(True, "rational"), (False, "fisheye"), (True, "fisheye")],
+)
+def test_a_ray_passes_through_what_its_pixel_sees(dome: bool, model: LensKind) -> None:
     """Points on the plugin's rays, 0.2 to 2.5 m away, are imaged on their pixels within 0.005 px.
 
     The plugin works in single precision: a coordinate of 1000 mm is good to 6e-5 mm, a ray
@@ -123,7 +146,7 @@ def test_a_ray_passes_through_what_its_pixel_sees(dome: bool) -> None:
     """
     pixels = grid()
     for seed in range(10):
-        scene = random_rig(seed, dome)
+        scene = random_rig(seed, dome, model)
         origin, direction, _ = rays(scene, pixels)
         back = project(scene, origin + np.geomspace(200, 2500, 10)[seed] * direction)
         np.testing.assert_allclose(back, pixels, atol=0.005)

@@ -55,6 +55,33 @@ def test_a_barrel_folds_at_two_thirds_of_its_turn(k1: float) -> None:
     assert not folded(focal * (1 + CLOSE), k1=k1)
 
 
+@pytest.mark.parametrize("k1", [-0.2, -0.5])
+def test_a_fisheye_folds_where_its_radius_turns(k1: float) -> None:
+    """t + k1 t3 turns at t = 1 / sqrt(-3 k1), where it is 2/3 of that."""
+    focal = CORNER_PX / (2 / 3 / np.sqrt(-3 * k1))
+    for share, expected in ((1 - CLOSE, True), (1 + CLOSE, False)):
+        lens = Lens(model="fisheye", focal_px=focal * share, centre_px=CENTRE, k1=k1)
+        assert is_folded(lens, WIDTH, HEIGHT) is expected
+
+
+def test_a_fisheye_ends_at_a_right_angle() -> None:
+    """An undistorted one's corners lie 90 degrees off the axis at pi/2 focal lengths."""
+    for share, expected in ((0.99, True), (1.01, False)):
+        focal = share * CORNER_PX / (np.pi / 2)
+        lens = Lens(model="fisheye", focal_px=focal, centre_px=CENTRE)
+        assert is_folded(lens, WIDTH, HEIGHT) is expected
+
+
+def test_a_rational_lens_ends_at_its_pole() -> None:
+    """r / (1 - q/4) has one at r = 2, in no picture; r / (1 + q/4) turns there, as 1."""
+    lens = {"model": "rational", "centre_px": CENTRE}
+    assert not is_folded(Lens(focal_px=100.0, k4=-0.25, **lens), WIDTH, HEIGHT)
+    for share, expected in ((1 - CLOSE, True), (1 + CLOSE, False)):
+        assert (
+            is_folded(Lens(focal_px=CORNER_PX * share, k4=0.25, **lens), WIDTH, HEIGHT) is expected
+        )
+
+
 @pytest.mark.parametrize("along", [0.0, 0.02, 0.05])
 @pytest.mark.parametrize("turned", [False, True], ids=["p2", "p1"])
 def test_decentring_alone_folds_at_its_caustic(along: float, turned: bool) -> None:

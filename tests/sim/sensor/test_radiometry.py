@@ -7,9 +7,10 @@ from drawn_examples import examples
 from hypothesis import given, strategies as st
 from sensor_scenes import EXPOSURE_MS, layers_of, sensor_scene
 
-from sim.scene import Lens
+from sim.scene import Lens, PlanePort, Pose
 from sim.sensor import Webcam, photons_per_radiance
 from sim.sensor.radiometry import directions, vignetting
+from sim.truth.camera import TrueCamera, image
 
 
 def test_photons_on_paper() -> None:
@@ -61,6 +62,26 @@ def test_directions_are_those_whose_distortion_is_the_pixel(
     )
     v, u = np.mgrid[0:480:60, 0:640:60]
     np.testing.assert_allclose(pixels[:, 0], np.column_stack([u.ravel(), v.ravel()]), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Lens(model="fisheye", focal_px=330.0, centre_px=(310.0, 250.0), k1=-0.02, k2=0.003),
+        Lens(
+            model="rational", focal_px=330.0, centre_px=(310.0, 250.0),
+            k1=0.78, k2=0.068, k4=1.11, k5=0.238, p1=1e-3,
+        ),
+    ],
+    ids=lambda lens: lens.model,
+)  # fmt: skip
+def test_wide_lenses_look_where_the_truth_says(lens: Lens) -> None:
+    """Up to 70 degrees off the axis; bar: a thousandth of a pixel."""
+    xy = directions(lens, (640, 480))[::60, ::60].reshape(-1, 2)
+    camera = TrueCamera(Pose(np.eye(3), np.zeros(3)), lens, PlanePort(), 1.33)
+    pixels = image(camera, np.column_stack([xy, np.ones(len(xy))]))
+    v, u = np.mgrid[0:480:60, 0:640:60]
+    np.testing.assert_allclose(pixels, np.column_stack([u.ravel(), v.ravel()]), atol=1e-3)
 
 
 @pytest.mark.parametrize("exponent", [0.0, 2.0, 4.0])

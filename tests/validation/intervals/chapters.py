@@ -9,6 +9,7 @@ from tests.validation.intervals.maps import map_rows
 from tests.validation.intervals.metric import metric_rows
 from tests.validation.intervals.rough import RESPONSES, lawless_rows, rough_rows
 from tests.validation.intervals.water import water_interval_rows
+from tests.validation.intervals.wide import wide_rows
 from tests.validation.rows import Chapters, Request
 
 
@@ -29,5 +30,6 @@ def chapters(request: Request) -> Chapters:
         "other water": partial(water_interval_rows, 2 if quick else 20),
         "maps of one board": partial(map_rows, 4 if quick else 40),
         "views of a board": partial(metric_rows, quick),
+        "wide lenses": partial(wide_rows, request.scenes, 1 if quick else 5),
         "surfaces without a law": partial(lawless_rows, quick),
     }
