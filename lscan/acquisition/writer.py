@@ -50,7 +50,7 @@ from lscan.files.disk import (
     sync_folder,
     write_atomically,
 )
-from lscan.files.pictures import encode_picture
+from lscan.files.pictures import encode_picture, with_bits
 from lscan.records import Frame, Picture
 
 
@@ -356,6 +356,6 @@ PNG = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)
 
 def _write_picture(image: Picture, file: Path) -> str:
     """Write a picture, synced; the SHA-256 of its file."""
-    png = encode_picture(image, ".png", PNG, where=file)
+    png = with_bits(encode_picture(image, ".png", PNG, where=file), image)
     write_atomically(file, png)
     return hashlib.sha256(png).hexdigest()

@@ -5,6 +5,7 @@ All that decodes a stranger's picture does it here, once its header says that it
 
 import io
 import struct
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -39,13 +40,16 @@ class PictureHeader:
     """What a picture's file says of itself.
 
     width_px, height_px: of a TIFF of tiles, or of the tile where it is larger, since the whole
-    tile is decoded.  depth_bits: of a channel of a pixel; 8 where it is fewer.
+    tile is decoded.  depth_bits: of a channel of a pixel; 8 where it is fewer.  spans: whether
+    a PNG of 16 bits says how many of them, the uppermost, tell something (sBIT, 11.3.2.5): its
+    numbers then span the whole range.
     """
 
     format: Format
     width_px: int
     height_px: int
     depth_bits: int = 8
+    spans: bool = False
 
 
 def read_header(data: bytes) -> PictureHeader | None:
@@ -70,25 +74,26 @@ def read_header(data: bytes) -> PictureHeader | None:
 
 
 def _png(data: bytes) -> PictureHeader | None:
-    if data[12:16] != b"IHDR" or not _whole(data):
+    names = _chunks(data)
+    if data[12:16] != b"IHDR" or b"IDAT" not in names:
         return None
     width, height, depth = struct.unpack_from(">IIB", data, 16)
-    return PictureHeader("PNG", width, height, max(8, depth))
+    return PictureHeader("PNG", width, height, max(8, depth), b"sBIT" in names and depth == 16)
 
 
-def _whole(data: bytes) -> bool:
-    """Whether all chunks of a PNG file are there, pixels among them, to an empty last one.
+def _chunks(data: bytes) -> set[bytes]:
+    """The names of a PNG file's chunks; none where they are not all there, to an empty last one.
 
     A decoder takes memory for as long a chunk as the file states.
     """
-    place, pixels = 8, False
+    place, names = 8, set[bytes]()
     while place + 12 <= len(data):
         length, name = struct.unpack_from(">I", data, place)[0], data[place + 4 : place + 8]
         place += 12 + length
         if name == b"IEND":
-            return pixels and length == 0
-        pixels |= name == b"IDAT"
-    return False
+            return names if length == 0 else set()
+        names.add(name)
+    return set()
 
 
 _LONE_MARKERS = frozenset({0x00, 0x01, *range(0xD0, 0xD8)})  # no segment follows
@@ -199,8 +204,8 @@ def read_picture(path: Path, bits: int | None = None) -> Picture:
     Parameters
     ----------
     path : Path, a file of FORMATS
-    bits : int, optional, of the camera that took a picture of 16 bit; found as ``aligned`` does by
-        default
+    bits : int, optional, of the camera that took a picture of 16 bit; by default as the file says,
+        or found as ``aligned`` does
 
     Raises
     ------
@@ -224,7 +229,8 @@ def read_picture(path: Path, bits: int | None = None) -> Picture:
     if image is None:
         raise InputError("is not a picture that can be read", where=path, allowed=FORMATS)
     image = image if image.ndim == 2 else _rgb(image)
-    return image if image.dtype == np.uint8 else aligned(image, bits, where=path)
+    spans = image.dtype == np.uint8 or (header is not None and header.spans and bits is None)
+    return image if spans else aligned(image, bits, where=path)
 
 
 def display_turn(path: Path) -> str:
@@ -373,12 +379,37 @@ def write_picture(path: Path, image: Picture) -> None:
     InputError
         There is no such format, it cannot hold a picture of that shape, or the disk refuses.
     """
-    write_atomically(path, encode_picture(image, path.suffix or ".png", where=path))
+    data = encode_picture(image, path.suffix or ".png", where=path)
+    write_atomically(path, with_bits(data, image))
+
+
+def with_bits(data: bytes, image: Picture) -> bytes:
+    """The PNG file of a picture of 16 bits with how many of them tell something; others as is.
+
+    Whoever reads the picture by itself, without its camera, then knows its range.
+
+    Parameters
+    ----------
+    data : bytes, of the file
+    image : (H, W) or (H, W, 3) array, uint8 or uint16, its camera's bits the uppermost
+
+    References
+    ----------
+    ISO/IEC 15948, 11.3.2.5 (sBIT).
+    """
+    if image.dtype == np.uint8 or data[12:16] != b"IHDR":
+        return data
+    used = int(np.bitwise_or.reduce(image, axis=None))
+    bits = max(16 - (used & -used).bit_length() + 1, 1) if used else 16
+    chunk = b"sBIT" + bytes([bits]) * (1 if image.ndim == 2 else image.shape[2])
+    whole = struct.pack(">I", len(chunk) - 4) + chunk + struct.pack(">I", zlib.crc32(chunk))
+    return data[:HEADER_END] + whole + data[HEADER_END:]
 
 
 # Pictures of more than 8 bits.
 
 
+HEADER_END = 33  # of a PNG's signature and first chunk
 STEPS_PER_DN = 256
 """Of a uint16 picture, whose range is that of 256 DN, as every picture's."""
 CAMERA_BITS = (10, 12, 14, 16)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from drawn_examples import examples
 from hypothesis import given, strategies as st
+from PIL import Image
 from png_files import HUGE, chunk, grey_png
 
 from lscan.devices.opencv_camera.jpeg import decode_jpeg
@@ -173,6 +174,29 @@ def test_a_dark_picture_of_twelve_bits_needs_them_stated(tmp_path: Path) -> None
     cv2.imwrite(str(tmp_path / "full.png"), np.array([[1, 5000]], np.uint16))
     with pytest.raises(InputError, match=r"full.png: has .*5000; allowed: 4095 at most, of 12"):
         read_picture(tmp_path / "full.png", 12)
+
+
+@pytest.mark.parametrize("colour", [False, True])
+@pytest.mark.parametrize("bits", [10, 12, 16])
+def test_a_dark_picture_of_our_own_says_its_range(tmp_path: Path, bits: int, colour: bool) -> None:
+    """By its sBIT chunk, which OpenCV passes over and Pillow reads as many numbers from."""
+    dark = np.array([[0, 1, 3]], np.uint16) * np.uint16(2 ** (16 - bits))
+    dark = np.dstack([dark, 2 * dark, dark]) if colour else dark
+    write_picture(tmp_path / "dark.png", dark)
+    assert np.array_equal(read_picture(tmp_path / "dark.png"), dark)
+    assert np.array_equal(read_picture(tmp_path / "dark.png", bits), dark)
+    data = (tmp_path / "dark.png").read_bytes()
+    at = data.index(b"sBIT")
+    assert data[at + 4 : at + 4 + (3 if colour else 1)] == bytes([bits]) * (3 if colour else 1)
+    assert struct.unpack_from(">I", data, at - 4)[0] == (3 if colour else 1)
+    assert cv2.imread(str(tmp_path / "dark.png"), cv2.IMREAD_UNCHANGED).dtype == np.uint16
+    with Image.open(tmp_path / "dark.png") as opened:  # which checks each chunk's sum
+        opened.load()
+
+
+def test_a_picture_of_eight_bits_is_written_as_ever(tmp_path: Path) -> None:
+    write_picture(tmp_path / "a.png", np.zeros((2, 2), np.uint8))
+    assert b"sBIT" not in (tmp_path / "a.png").read_bytes()
 
 
 def test_a_deep_picture_as_grey_values() -> None:
