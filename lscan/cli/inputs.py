@@ -15,7 +15,7 @@ from lscan.board.marks import FEWEST
 from lscan.calibration.calibrationfile import load_plane_map
 from lscan.calibration.check import CorrectionKind, kept_for_want_of_water, map_for_rig
 from lscan.calibration.planemap import PlaneMap
-from lscan.cli.console import note, one_of
+from lscan.cli.console import note, one_of, require_folders
 from lscan.config.board import load_board
 from lscan.config.documents import check, read_document
 from lscan.config.rig import CalibrationSection, OpticsSection, Rig
@@ -24,6 +24,13 @@ from lscan.files.pictures import display_turn, eight_bit, grey_dn, read_picture,
 from lscan.pipeline import board_expected, mean_picture, require_board, require_size
 from lscan.records import BoardReading, Floats, Mask, Picture, Status
 from lscan.surface.shaft import load_shaft
+
+
+def require_mcap(option: str, path: Path) -> None:
+    """Refuse a recording of another kind, or in a folder that is not there."""
+    if path.suffix.lower() != ".mcap":
+        raise InputError("no such kind of file", where=option, value=str(path), allowed=".mcap")
+    require_folders(path)
 
 
 def open_calibrated(

@@ -14,7 +14,7 @@ from lscan import pipeline
 from lscan.acquisition.run import Run, open_run
 from lscan.calibration.planemap import PlaneMap
 from lscan.cli.console import Json, Trust, note, progress_bar, require_folders, show, table
-from lscan.cli.inputs import open_calibrated
+from lscan.cli.inputs import open_calibrated, require_mcap
 from lscan.config.rig import Rig
 from lscan.config.targets import Sandwave, load_shapes
 from lscan.errors import InputError, MeasurementError
@@ -165,11 +165,7 @@ def export(
     reconstructed, neither aligned nor corrected for the sheet's thickness, and the camera's place
     and lens where the calibration knows them; --surface takes the points of `lscan reconstruct`.
     """
-    require_folders(output)
-    if output.suffix.lower() != ".mcap":
-        raise InputError(
-            "no such kind of file", where="--output", value=str(output), allowed=".mcap"
-        )
+    require_mcap("--output", output)
     if calibration is None:
         opened, plane_map = open_run(run, trust), None
     else:

@@ -1,5 +1,6 @@
 """``lscan scan``, ``live`` and ``scenes``: what is scanned, from a terminal or a browser."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 from typer import Argument, Option
@@ -47,38 +48,56 @@ def live(
     token: str | None = Option(
         None, help="Token that a browser must present; generated if others can reach --host."
     ),
+    mcap: Path | None = Option(
+        None, help="Recording (.mcap) of what is looked at: pictures, positions, points."
+    ),
 ) -> None:
     """Serve a page with the picture, the line, the profile and the buttons of a scan."""
     # Here: a web server takes as long to load as all the rest, and ``lscan scan`` needs none.
     from lscan.calibration.calibrationfile import load_plane_map
+    from lscan.cli.inputs import require_mcap
     from lscan.devices.signals import no_suspending, on_stop_signals
+    from lscan.files.rosmessages import message_file
     from lscan.live.scanning import use_map
     from lscan.live.server import grant, listen, make_server
     from lscan.live.session import Session
     from lscan.pipeline import require_size
+    from lscan.surface.recording import LiveRecording
 
+    if mcap is not None:
+        require_mcap("--mcap", mcap)
     rig_file, used = load_rig(rig), None
     if calibration is not None:
         plane_map, size_px = load_plane_map(calibration)
         require_size(rig_file.rig.camera, size_px, calibration, rig)
         used = use_map(calibration, plane_map, rig_file)
-    with listen(host, port) as listening:
-        access = grant(host, listening.getsockname()[1], token)
-        session = Session(rig_file, output, used)
-        server = make_server(session, access)
-        # Whatever signals come, and however many: the laser is off before the program ends.
-        with on_stop_signals(server.stop), no_suspending():
-            try:
-                first, *others = access.addresses
-                print(f"{first}  (Ctrl-C ends)", *others, sep="\n", flush=True)
-                print(access.remark, flush=True)
-                server.run(sockets=[listening])
-            finally:
-                unfinished = session.close()
+    session: Session | None = None
+    try:
+        with (
+            listen(host, port) as listening,
+            message_file(mcap) if mcap is not None else nullcontext() as file,
+        ):
+            access = grant(host, listening.getsockname()[1], token)
+            recording = LiveRecording(file, rig_file.rig) if file is not None else None
+            session = Session(rig_file, output, used, recording)
+            server = make_server(session, access)
+            # Whatever signals come, and however many: the laser is off before the program ends.
+            with on_stop_signals(server.stop), no_suspending():
+                try:
+                    first, *others = access.addresses
+                    print(f"{first}  (Ctrl-C ends)", *others, sep="\n", flush=True)
+                    print(access.remark, flush=True)
+                    server.run(sockets=[listening])
+                finally:
+                    unfinished = session.close()
             if unfinished is not None:
-                print(f"stopped; go on with: lscan scan {rig} -o {unfinished} --resume", flush=True)
-    if session.laser_warning:
-        raise DeviceError(session.laser_warning)
+                go_on = f"lscan scan {rig} -o {unfinished} --resume"
+                print(f"stopped; go on with: {go_on}", flush=True)
+            if session.recording_fault:
+                note(session.recording_fault)
+    finally:  # also where the recording cannot be ended
+        if session is not None and session.laser_warning:
+            raise DeviceError(session.laser_warning)
 
 
 def scenes(

@@ -130,15 +130,15 @@ def _webp(data: bytes) -> PictureHeader | None:
     if data[8:12] != b"WEBP" or len(data) < 30:
         return None
     if kind == b"VP8X":
-        sides = (int.from_bytes(data[place : place + 3], "little") + 1 for place in (24, 27))
+        width, height = (int.from_bytes(data[at : at + 3], "little") + 1 for at in (24, 27))
     elif kind == b"VP8L":
         (bits,) = struct.unpack_from("<I", data, 21)
-        sides = ((bits >> shift & 0x3FFF) + 1 for shift in (0, 14))
+        width, height = ((bits >> shift & 0x3FFF) + 1 for shift in (0, 14))
     elif kind == b"VP8 ":
-        sides = (side & 0x3FFF for side in struct.unpack_from("<HH", data, 26))
+        width, height = (side & 0x3FFF for side in struct.unpack_from("<HH", data, 26))
     else:
         return None
-    return PictureHeader("WebP", *sides)
+    return PictureHeader("WebP", width, height)
 
 
 _WIDTHS, _HEIGHTS = (256, 322), (257, 323)  # ImageWidth, TileWidth; ImageLength, TileLength

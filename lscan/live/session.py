@@ -26,7 +26,9 @@ from lscan.live.analysis import (
 )
 from lscan.live.devices import LiveDevices, NotNow, one_line
 from lscan.live.scanning import LiveCalibration, Scanning, find_unfinished, next_name, take_board
-from lscan.pipeline import require_board
+from lscan.pipeline import build_surface, require_board
+from lscan.records import Profile
+from lscan.surface.recording import LiveRecording
 
 # A place for the newest of a kind: whoever is slow misses the ones between, and holds up none.
 
@@ -118,6 +120,9 @@ class Session:
         Folder for the run folders of scans and of board pictures.
     calibration : LiveCalibration, optional
         The plane map of the profiles; without one there are none until a board picture is taken.
+    recording : LiveRecording, optional
+        To which each picture that is measured is added.  It ends with the first failure, which
+        :meth:`state` reports.
 
     Raises
     ------
@@ -127,14 +132,19 @@ class Session:
     """
 
     def __init__(
-        self, rig_file: RigFile, output: Path, calibration: LiveCalibration | None = None
+        self,
+        rig_file: RigFile,
+        output: Path,
+        calibration: LiveCalibration | None = None,
+        recording: LiveRecording | None = None,
     ) -> None:
         self._rig_file, self._output, self._calibration = rig_file, output, calibration
         self._pictures: Newest[LivePicture] = Newest()
         self._mode: Mode = "stripe"
         self._focus = BestFocus()
         self._board_read: tuple[BoardFigures, float] | None = None  # and when its picture came
-        self._fault = ""
+        self._fault = self.recording_fault = ""
+        self._recording, self._since_1970_ns = recording, time.time_ns() - time.monotonic_ns()
         self._task, self._task_message, self._task_failed = "", "", False
         self._commands = threading.Lock()
         self._closing = threading.Event()
@@ -328,6 +338,7 @@ class Session:
         """The picture measured and packed for the browsers, once for all of them."""
         mode = self._mode
         figures = self._figures(picture, mode)
+        self._record(picture, figures)
         best = self._focus.among(figures.focus, picture.position_mm)
         image, board = picture.grab.image, self._board_read
         document = {
@@ -345,6 +356,21 @@ class Session:
             "board": board and board_json(board[0], time.monotonic() - board[1]),
         }
         return picture_answer(document, jpeg_of(image))
+
+    def _record(self, picture: LivePicture, figures: Figures) -> None:
+        if self._recording is None:
+            return
+        calibration, surface = self._calibration, None
+        stamp = self._since_1970_ns + round(1e9 * picture.taken_s)
+        try:
+            if calibration and figures.profile and figures.line and picture.position_mm is not None:
+                brightness = figures.line.stripe.peak
+                profile = Profile(picture.position_mm, figures.profile, brightness)
+                surface = build_surface([profile], self._rig_file.rig)
+            plane_map = calibration.plane_map if calibration else None
+            self._recording.add(stamp, picture.grab.image, picture.position_mm, surface, plane_map)
+        except Exception as error:
+            self._recording, self.recording_fault = None, f"recording ended: {one_line(error)}"
 
     def _phase(self) -> Phase:
         if self.scanning.under_way:
@@ -378,7 +404,7 @@ class Session:
             "camera": {
                 "driver": rig.camera.driver,
                 "size_px": list(rig.camera.size_px),
-                "error": devices.camera_error or self._fault,
+                "error": devices.camera_error or self._fault or self.recording_fault,
                 "gone": bool(devices.camera_error),
                 "seen_s_ago": seen_s_ago,
             },

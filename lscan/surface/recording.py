@@ -17,11 +17,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from lscan.acquisition.run import MANIFEST, TABLE, FrameRow, Run, most_table_bytes
+from lscan.acquisition.run import MANIFEST, TABLE, Run, most_table_bytes
 from lscan.calibration.check import map_for_rig
 from lscan.calibration.maps.auto import Auto
 from lscan.calibration.physical import PhysicalMap
@@ -32,8 +33,9 @@ from lscan.camera.posedboards import BENDS, camera_of
 from lscan.config.rig import Rig
 from lscan.errors import InputError
 from lscan.files.disk import MOST_TEXT_BYTES, read_bytes
-from lscan.files.rosmessages import LAST_S, POINT_FIELD, message_file, time_of
-from lscan.records import Floats, Progress, Status, Surface, select
+from lscan.files.pictures import encode_picture, with_bits
+from lscan.files.rosmessages import LAST_S, POINT_FIELD, MessageFile, message_file, time_of
+from lscan.records import Floats, Picture, Progress, Status, Surface, select
 from lscan.surface.shaft import shaft_of
 
 Message = dict[str, Any]
@@ -52,6 +54,7 @@ _KINDS = {
     TRANSFORMS: "tf2_msgs/TFMessage",
 }
 SAME_PLACE_MM = 1e-3
+PNG_FAST = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)  # as a run's
 _GRID = 13, 11  # pixels along u and v at which a lens behind a port is looked at
 
 
@@ -179,7 +182,10 @@ def write_recording(
     profiles = itertools.repeat(None, len(run)) if clouds is None else clouds
     with message_file(path) as file:
         for row, stamp, profile in zip(run.rows, stamps, profiles, strict=True):
-            for topic, message in _messages(run, row, stamp, camera, profile):
+            pictures = {PICTURE: run.picture_bytes(row)}
+            if row.dark_sha256 is not None:
+                pictures[BACKGROUND] = run.picture_bytes(row, dark=True)
+            for topic, message in _messages(rig, row.position_mm, stamp, pictures, camera, profile):
                 file.write(topic, _KINDS[topic], stamp, message, row.index)
                 counts[topic] += 1
             if progress:
@@ -193,11 +199,57 @@ def write_recording(
     return dict(counts)
 
 
+class LiveRecording:
+    """A recording that pictures are added to as they are looked at, of the same topics.
+
+    Parameters
+    ----------
+    file : MessageFile
+    rig : Rig, whose camera and track they are of
+    """
+
+    def __init__(self, file: MessageFile, rig: Rig) -> None:
+        self._file, self._rig = file, rig
+        self._camera: tuple[PlaneMap, HeadCamera | None] | None = None
+        self._number = 0
+
+    def add(
+        self, stamp: int, image: Picture, position_mm: float | None, profile: Surface | None = None,
+        plane_map: PlaneMap | None = None,
+    ) -> None:  # fmt: skip
+        """Add a picture; the head's place where it is known, and then the points and the camera.
+
+        Parameters
+        ----------
+        stamp : int, ns, since 1970, when it was taken
+        image : (H, W) or (H, W, 3) array, uint8 or uint16
+        position_mm : float or None, mm, of the track
+        profile : Surface, optional, mm, the points of this picture
+        plane_map : PlaneMap, optional, that they are by
+        """
+        png = with_bits(encode_picture(image, ".png", PNG_FAST), image)
+        if position_mm is None:
+            parts = _pictures({PICTURE: png}, stamp)
+        else:
+            if plane_map is not None and (self._camera is None or self._camera[0] is not plane_map):
+                self._camera = plane_map, head_camera(plane_map, self._rig)
+            camera = self._camera[1] if plane_map is not None and self._camera else None
+            parts = _messages(self._rig, position_mm, stamp, {PICTURE: png}, camera, profile)
+        for topic, message in parts:
+            self._file.write(topic, _KINDS[topic], stamp, message, self._number)
+        self._number += 1
+
+
 def _messages(
-    run: Run, row: FrameRow, stamp: int, camera: HeadCamera | None, profile: Surface | None
+    rig: Rig,
+    position_mm: float,
+    stamp: int,
+    pictures: Mapping[str, bytes],
+    camera: HeadCamera | None,
+    profile: Surface | None,
 ) -> Iterator[tuple[str, Message]]:
-    """The messages of one picture, each with its topic."""
-    turn, place_mm = _head_pose(run.rig_file.rig, row.position_mm)
+    """The messages of one picture, each with its topic; pictures: PNG files, by theirs."""
+    turn, place_mm = _head_pose(rig, position_mm)
     in_world, of_camera = _header(stamp, WORLD), _header(stamp, CAMERA)
     pose = {"position": _vector(place_mm), "orientation": _quaternion(turn)}
     yield TRACK, {"header": in_world, "pose": pose}
@@ -205,15 +257,16 @@ def _messages(
     if camera is not None:
         in_head = _header(stamp, HEAD)
         transforms.append(_transform(in_head, CAMERA, camera.rotation, camera.place_mm))
-        yield LENS, {"header": of_camera, **_camera_info(camera.lens, run.rig_file.rig)}
+        yield LENS, {"header": of_camera, **_camera_info(camera.lens, rig)}
     yield TRANSFORMS, {"transforms": transforms}
-    png = run.picture_bytes(row)
-    yield PICTURE, {"header": of_camera, "format": "png", "data": png}
-    if row.dark_sha256 is not None:
-        png = run.picture_bytes(row, dark=True)
-        yield BACKGROUND, {"header": of_camera, "format": "png", "data": png}
+    yield from _pictures(pictures, stamp)
     if profile is not None:
         yield POINTS, {"header": _header(stamp, FRAME_OF[profile.frame]), **_cloud(profile)}
+
+
+def _pictures(pictures: Mapping[str, bytes], stamp: int) -> Iterator[tuple[str, Message]]:
+    for topic, png in pictures.items():
+        yield topic, {"header": _header(stamp, CAMERA), "format": "png", "data": png}
 
 
 def profiles_of(surface: Surface, run: Run, where: Path) -> Iterable[Surface]:
@@ -266,7 +319,7 @@ def _transform(header: Message, child: str, turn: Floats, place_mm: Floats) -> M
 
 def _camera_info(lens: CameraModel, rig: Rig) -> Message:
     focal, (u, v) = lens.focal_px, lens.centre_px
-    model, bends = "plumb_bob", BENDS[:5]
+    model, bends = "plumb_bob", tuple[str, ...](BENDS[:5])
     if lens.fisheye:
         model, bends = "equidistant", ("k1", "k2", "k3", "k4")
     elif (lens.k4, lens.k5, lens.k6) != (0.0, 0.0, 0.0):

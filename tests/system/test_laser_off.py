@@ -10,8 +10,10 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +29,8 @@ from lscan.config.rig import RigFile
 from lscan.devices.api import LASER_MAY_BE_LIT, Grab
 from lscan.devices.grbl import SerialTrackOptions, open_track
 from lscan.devices.signals import STOPPING, interrupted_by_signals, stop_signals_held
-from lscan.errors import DeviceError, DiskError, LscanError
+from lscan.errors import DeviceError, DiskError, InputError, LscanError
+from lscan.files.rosmessages import MessageFile, message_file
 from lscan.live.server import LiveServer
 from lscan.live.session import Session
 from sim.emulators.grbl import Faults, GrblEmulator, MarlinEmulator
@@ -254,20 +257,20 @@ def test_a_late_picture_is_taken_again_with_the_laser_on(
 @pytest.fixture
 def commands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[[Bench, str], tuple[int, str, str]]:
+) -> Callable[..., tuple[int, str, str]]:
     """Runs ``lscan COMMAND rig.toml -o FOLDER`` on a bench."""
 
-    def run(bench: Bench, command: str) -> tuple[int, str, str]:
+    def run(bench: Bench, command: str, *options: str) -> tuple[int, str, str]:
         monkeypatch.setattr(lscan.config.rig, "find_plugin", bench.find_plugin)
         rig_file = fake_rig(FRAMES, laser="on")
         monkeypatch.setattr("lscan.cli.scan.load_rig", lambda _: rig_file)
         rest = ("--port", 0) if command == "live" else ()
-        return call(capsys, command, "rig.toml", "-o", tmp_path / "a", *rest)
+        return call(capsys, command, "rig.toml", "-o", tmp_path / "a", *rest, *options)
 
     return run
 
 
-Command = Callable[[Bench, str], tuple[int, str, str]]
+Command = Callable[..., tuple[int, str, str]]
 
 
 @pytest.mark.parametrize("number", ENDING)
@@ -417,6 +420,35 @@ def test_the_live_page_says_that_the_laser_may_be_lit_until_it_is_off(
     code, _, said = commands(bench, "live")
     assert warnings == ["", LASER_MAY_BE_LIT] * 2
     assert (code, said) == (1, f"lscan: {LASER_MAY_BE_LIT}\n")
+
+
+def test_a_recording_that_cannot_be_ended_hides_no_lit_laser(
+    commands: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The disk is full as the recording is ended: a laser that may be lit is said all the same."""
+
+    @contextmanager
+    def full(path: Path) -> Iterator[MessageFile]:
+        with message_file(path) as file:
+            yield file
+        raise InputError("no space left", where=path)
+
+    monkeypatch.setattr("lscan.files.rosmessages.message_file", full)
+
+    def lose(session: Session, *, lost: bool) -> None:
+        session.switch_laser(True)
+        if lost:
+            bench.unplug()
+            session._devices.check_track()
+        signal.raise_signal(signal.SIGTERM)
+
+    for lost, said in ((False, "no space left"), (True, LASER_MAY_BE_LIT)):
+        bench = Bench("grbl")
+        live_until(monkeypatch, partial(lose, lost=lost))
+        code, _, words = commands(bench, "live", "--mcap", str(tmp_path / "a.mcap"))
+        assert code == (1 if lost else 2)
+        assert said in words
+        assert bench.lit is lost
 
 
 @pytest.mark.parametrize("way", ["camera lost", "camera hangs", "track lost", "SIGHUP"])

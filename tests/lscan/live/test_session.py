@@ -4,6 +4,7 @@ import json
 import os
 import struct
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fake_devices import FakeCamera, FakeTrack, LaserTrack, fake_rig, folder_bytes
-from live_rig import Bench, GatedTrack, SeeingCamera, live_bench, wait_for
+from live_rig import LONG_S, Bench, GatedTrack, SeeingCamera, live_bench, wait_for
 
 from lscan.acquisition.run import open_run
 from lscan.acquisition.scan import acquire_into
@@ -23,6 +24,7 @@ from lscan.live.analysis import MOVED_MM, BestFocus, Figures, measure_line
 from lscan.live.devices import NotNow
 from lscan.live.scanning import LiveCalibration, find_unfinished, next_name
 from lscan.live.session import Newest, Session
+from lscan.records import Floats, PlanePoints, Status
 
 
 def scan_of(session: Session) -> dict[str, Any]:
@@ -53,6 +55,56 @@ def reference(path: Path, frames: int = 5) -> dict[str, bytes]:
 def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     with live_bench(monkeypatch, tmp_path) as bench:
         yield bench
+
+
+def test_a_recording_that_fails_is_said_and_ends(bench: Bench) -> None:
+    """The page goes on; what was recorded is kept by whoever opened the file."""
+
+    class Recording:
+        added = 0
+
+        def add(self, stamp: int, *picture: Any) -> None:
+            self.added += 1
+            assert abs(stamp / 1e9 - time.time()) < LONG_S
+            if self.added == 2:
+                raise OSError("no space left")
+
+    recording: Any = Recording()
+    session = bench.open(recording=recording)
+    wait_for(lambda: session.recording_fault)
+    number = session.frames.after(0)[0]
+    frame_of(session, number)
+    assert session.recording_fault == "recording ended: OSError: no space left"
+    assert session.state()["camera"]["error"] == session.recording_fault
+    assert recording.added == 2
+
+
+def test_what_the_page_looks_at_is_recorded_where_the_head_is(bench: Bench) -> None:
+    """Each picture's points lie in the sheet at the track's own position."""
+
+    class LevelMap:
+        def to_plane(self, image_px: Floats, sigma_px: Floats) -> PlanePoints:
+            status = np.full(len(image_px), Status.OK)
+            return PlanePoints(image_px, np.ones_like(image_px), status)
+
+    level: Any = LevelMap()
+
+    class Recording:
+        kept: list[tuple[Any, ...]] = []  # noqa: RUF012 - of one test
+
+        def add(self, stamp: int, *picture: Any) -> None:
+            self.kept.append(picture)
+
+    recording: Any = Recording()
+    session = bench.open(
+        calibration=LiveCalibration(bench.output / "c.json", level), recording=recording
+    )
+    session.move_to(7.0)
+    kept = wait_for(lambda: [p for p in recording.kept if p[1] == pytest.approx(7.013)])
+    image, position_mm, surface, plane_map = kept[0]
+    assert image.shape[:2] == bench.drivers.camera.size_px[::-1]
+    assert plane_map is level
+    assert (surface.xyz_mm[0, :, 1] == position_mm).all()
 
 
 Gated = tuple[Bench, Session, GatedTrack]

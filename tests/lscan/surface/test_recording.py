@@ -24,6 +24,7 @@ from lscan.calibration.marks import Region
 from lscan.calibration.metric.planemap import Metric, metric_map
 from lscan.camera import CameraModel
 from lscan.errors import InputError
+from lscan.files.rosmessages import message_file
 from lscan.pipeline import build_surface, read_profiles, reconstruct
 from lscan.records import Floats, Frame, Status, Surface
 from lscan.stripe import extract_stripe
@@ -35,6 +36,7 @@ from lscan.surface.recording import (
     POINTS,
     TRACK,
     TRANSFORMS,
+    LiveRecording,
     head_camera,
     profiles_of,
     stamps_ns,
@@ -208,6 +210,34 @@ def test_a_lens_is_named_as_its_readers_know_it(
     write_recording(tmp_path / "run.mcap", run, stamps_ns(run), None, camera)
     (info,) = read(tmp_path / "run.mcap")[LENS]
     assert (info.distortion_model, list(info.d)) == (model, d)
+
+
+@pytest.mark.parametrize("sections", [{}, {"shaft": SHAFT}], ids=["track", "shaft"])
+def test_what_is_looked_at_is_recorded_as_a_run_is(
+    tmp_path: Path, sections: dict[str, Any]
+) -> None:
+    """The same pictures, one by one, at the same times: the same messages, to their numbers."""
+    run, plane_map = flat_run(tmp_path / "run", FRAMES, **sections), metric(water=True)
+    rig, stamps, clouds = run.rig_file.rig, stamps_ns(run), clouds_of(run, plane_map)
+    write_recording(tmp_path / "run.mcap", run, stamps, clouds, head_camera(plane_map, rig))
+    with message_file(tmp_path / "live.mcap") as file:
+        recording = LiveRecording(file, rig)
+        for frame, stamp, cloud in zip(run.frames(), stamps, clouds, strict=True):
+            recording.add(stamp, frame.image, frame.position_mm, cloud, plane_map)
+    asked, found = (read(tmp_path / f"{name}.mcap") for name in ("run", "live"))
+    assert set(found) == set(asked)
+    for topic in (LENS, TRACK, POINTS, TRANSFORMS):
+        assert list(map(repr, found[topic])) == list(map(repr, asked[topic]))
+    for one, other in zip(found[PICTURE], asked[PICTURE], strict=True):
+        pair = (cv2.imdecode(each.data, cv2.IMREAD_UNCHANGED) for each in (one, other))
+        np.testing.assert_array_equal(*pair)
+
+
+def test_a_head_that_is_nowhere_known_has_its_pictures_recorded(tmp_path: Path) -> None:
+    run = flat_run(tmp_path / "run", 1)
+    with message_file(tmp_path / "live.mcap") as file:
+        LiveRecording(file, run.rig_file.rig).add(5, run.frame(0).image, None)
+    assert list(read(tmp_path / "live.mcap")) == [PICTURE]
 
 
 def test_frames_are_named_from_the_world_to_the_camera(tmp_path: Path) -> None:
