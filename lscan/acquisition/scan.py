@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from lscan.acquisition.run import Run, laser_warning_repeated, open_run
 from lscan.acquisition.writer import RunWriter, create_run, refuse_existing, resume_run
 from lscan.config.rig import CameraSection, RigFile, drivers_of
@@ -30,6 +28,8 @@ from lscan.devices.api import (
     Reconnecting,
     Track,
     longest_grab_s,
+    require_rigs_picture,
+    wrong_size,
 )
 from lscan.devices.signals import interrupted_by_signals, no_suspending, stop_signals_held
 from lscan.errors import DeviceError, InputError
@@ -168,7 +168,7 @@ def open_camera(rig_file: RigFile, track: Track) -> Camera:
     camera: Camera = driver.open(rig_file, track)
     if camera.size_px != section.size_px:
         camera.close()
-        raise _wrong_size(camera.size_px, section)
+        raise wrong_size(camera.size_px, section, f"camera {section.driver!r}")
     return camera
 
 
@@ -425,17 +425,8 @@ class _ScanDevices:
 
     def _check_grab(self, grab: Grab, index: int) -> Grab:
         """The picture; DeviceError where it is not what a run folder can hold."""
-        section, image = self.section, grab.image
-        wanted = np.dtype(np.uint8 if section.bits == 8 else np.uint16)
-        if image.dtype != wanted or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
-            raise DeviceError(
-                f"camera {section.driver!r}: frame {index} is {image.dtype} of shape "
-                f"{image.shape}; allowed: {wanted} for camera.bits = {section.bits}, (H, W) or "
-                "(H, W, 3)"
-            )
-        height, width = image.shape[:2]
-        if (width, height) != section.size_px:
-            raise _wrong_size((width, height), section)
+        section = self.section
+        require_rigs_picture(grab.image, section, f"camera {section.driver!r}: frame {index}")
         _require_finite("time_s", grab.time_s, index)
         _require_finite("exposure_ms", grab.exposure_ms, index)
         if grab.time_s <= self.last_time_s:
@@ -450,13 +441,6 @@ class _ScanDevices:
 def _require_finite(name: str, number: float, index: int) -> None:
     if not math.isfinite(number):
         raise DeviceError(f"frame {index}: a device reported {name} that is not finite")
-
-
-def _wrong_size(size_px: tuple[int, int], section: CameraSection) -> DeviceError:
-    return DeviceError(
-        f"camera {section.driver!r}: pictures are {size_px[0]} by {size_px[1]} px; "
-        f"the rig says {section.width_px} by {section.height_px} px"
-    )
 
 
 # Work on several pictures at once, whose results come in the pictures' order.

@@ -4,13 +4,15 @@ A driver is an object registered under the entry-point group ``lscan.cameras`` o
 ``lscan.tracks``; its name there is what a rig file's ``driver`` key says.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
 
+import numpy as np
 from pydantic import model_validator
 
 from lscan.config.documents import Strict, check
-from lscan.config.rig import RigFile
+from lscan.config.rig import CameraSection, RigFile
 from lscan.errors import DeviceError, InputError
 from lscan.records import Picture
 
@@ -206,6 +208,48 @@ class Camera(Protocol):
 
         A grab under way in another thread comes to its end, and the next raises DeviceError.
         """
+
+
+def require_rigs_picture(
+    image: Picture, section: CameraSection, who: str, advice: Callable[[], str] = str
+) -> None:
+    """Refuse a picture that is none of the rig's: of another type, shape or size.
+
+    Parameters
+    ----------
+    image : array, as a camera gave it
+    section : CameraSection, of the rig
+    who : str, the camera, for the error
+    advice : callable, gives what to do about another type, for the error
+
+    Raises
+    ------
+    DeviceError
+    """
+    wanted = np.dtype(np.uint8 if section.bits == 8 else np.uint16)
+    if image.dtype != wanted or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
+        raise DeviceError("; ".join(filter(None, (
+            f"{who}: a picture is {image.dtype} of shape {image.shape}",
+            f"allowed: {wanted} for camera.bits = {section.bits}, (H, W) or (H, W, 3)",
+            advice(),
+        ))))  # fmt: skip
+    if (size := (image.shape[1], image.shape[0])) != section.size_px:
+        raise wrong_size(size, section, who)
+
+
+def wrong_size(size_px: tuple[int, int], section: CameraSection, who: str) -> DeviceError:
+    """The error of a camera whose pictures are not of the rig's size.
+
+    Parameters
+    ----------
+    size_px : tuple of int, (width, height) of its pictures, px
+    section : CameraSection, of the rig
+    who : str, the camera
+    """
+    return DeviceError(
+        f"{who}: pictures are {size_px[0]} by {size_px[1]} px; the rig says {section.width_px} by "
+        f"{section.height_px} px (camera.width_px, camera.height_px)"
+    )
 
 
 @runtime_checkable

@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Annotated, Any, Self
 
-import numpy as np
 from pydantic import Field, model_validator
 
 from lscan.config.documents import Strict, check
 from lscan.config.rig import CameraSection, RigFile
-from lscan.devices.api import LONGEST_GRAB_S, Fact, Grab, Track
+from lscan.devices.api import LONGEST_GRAB_S, Fact, Grab, Track, require_rigs_picture
 from lscan.errors import DeviceError, InputError
 from lscan.files.pictures import aligned
 from lscan.records import Picture
@@ -293,19 +292,12 @@ class GenicamCamera:
     def _check_picture(self, image: Any, pixel_format: str) -> Picture:
         """The picture, if it is what a run can hold and what the rig says: DeviceError."""
         bits, name = self._section.bits, self._options.name
-        wanted = np.dtype(np.uint8 if bits == 8 else np.uint16)
-        if image.dtype != wanted or image.ndim < 2:
+
+        def advice() -> str:
             offered = ", ".join(self._camera.available_enum_entries("PixelFormat"))
-            raise DeviceError(
-                f"{name}: pictures are {pixel_format}; the rig says {bits} bits (camera.bits); "
-                f"camera.options.pixel_format may be: {offered}"
-            )
-        got = image.shape[1], image.shape[0]
-        if got != self.size_px:
-            raise DeviceError(
-                f"{name}: pictures are {got[0]} by {got[1]} px; the rig says {self.size_px[0]} by "
-                f"{self.size_px[1]} px (camera.width_px, camera.height_px)"
-            )
+            return f"it is {pixel_format}; camera.options.pixel_format may be: {offered}"
+
+        require_rigs_picture(image, self._section, name, advice)
         try:
             return image if bits == 8 else aligned(image, bits, where=f"{name}: {pixel_format}")
         except InputError as error:

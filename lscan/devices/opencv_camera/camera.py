@@ -12,7 +12,7 @@ import numpy as np
 
 from lscan.config.documents import check
 from lscan.config.rig import CameraSection, RigFile
-from lscan.devices.api import LONGEST_GRAB_S, Fact, Grab, Track
+from lscan.devices.api import LONGEST_GRAB_S, Fact, Grab, Track, require_rigs_picture
 from lscan.devices.opencv_camera.jpeg import is_whole
 from lscan.devices.opencv_camera.options import (
     OpenCapture,
@@ -287,19 +287,8 @@ class OpencvCamera:
         if image.ndim == 3 and image.shape[2] == 1:
             image = image[:, :, 0]
         bits = self._section.bits
-        wanted = np.dtype(np.uint8 if bits == 8 else np.uint16)
-        if image.dtype != wanted or image.shape[2:] not in ((), (3,)) or image.ndim < 2:
-            raise DeviceError(
-                f"{self._options.name}: a picture is {image.dtype} of shape {image.shape}; "
-                f"allowed: {wanted} for camera.bits = {bits}, (H, W) or (H, W, 3); ask for another "
-                "camera.options.pixel_format"
-            )
-        got = image.shape[1], image.shape[0]
-        if got != self.size_px:
-            raise DeviceError(
-                f"{self._options.name}: pictures are {got[0]} by {got[1]} px; the rig says "
-                f"{self.size_px[0]} by {self.size_px[1]} px (camera.width_px, camera.height_px)"
-            )
+        advice = "ask for another camera.options.pixel_format"
+        require_rigs_picture(image, self._section, self._options.name, lambda: advice)
         self._shape = self._shape or image.shape
         if image.shape != self._shape:
             raise DeviceError(
