@@ -42,9 +42,9 @@ from lscan.calibration.metric.solve import CameraCalibration, MetricCalibration
 from lscan.calibration.metric.views import FittedView, LinePoints, ViewsFile
 from lscan.calibration.planemap import PlaneMap, SolvedMap, find_solver
 from lscan.camera.optics import stated_port
-from lscan.camera.posedboards import CAMERA, COUNT, NEWER, LensKind, with_newer
+from lscan.camera.posedboards import CAMERA, COUNT, NEWER, with_newer
 from lscan.config.documents import Strict, check
-from lscan.config.rig import Known, OpticsSection
+from lscan.config.rig import Known, LensKind, OpticsSection
 from lscan.errors import InputError
 from lscan.files.disk import read_json, write_atomically
 from lscan.records import (

@@ -21,13 +21,12 @@ from lscan.camera.optics import (
     undistort,
     undistort_derivatives,
 )
-from lscan.config.rig import Known, OpticsSection
+from lscan.config.rig import BENDS, Known, LensKind, OpticsSection
 from lscan.errors import InputError
 from lscan.records import Floats, Ints, Mask
 
 # The parameters of a camera behind a port: their order, limits, and what is known beforehand.
 
-BENDS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # coefficients of a lens's distortion
 LENS = ("focal_px", "centre_u_px", "centre_v_px", *BENDS, "fisheye")
 """fisheye: 1 of such a lens and 0 of another (CameraModel.fisheye); it is never free."""
 NEWER = LENS[8:]
@@ -38,11 +37,6 @@ COUNT = len(CAMERA)
 WATER, FISHEYE = CAMERA.index("water_index"), CAMERA.index("fisheye")
 
 PortKind = Literal["flat", "none"]
-
-LensKind = Literal["brown", "rational", "fisheye"]
-"""Which model of a lens is fitted: Brown's, OpenCV's rational one, or Kannala and Brandt's."""
-
-LensChoice = LensKind | Literal["auto"]
 
 OWN_BENDS: dict[LensKind, dict[str, Known]] = {
     "brown": {},

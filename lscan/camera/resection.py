@@ -13,7 +13,6 @@ from scipy.special import ndtri, stdtrit
 
 from lscan.camera.optics import project, rays
 from lscan.camera.posedboards import (
-    BENDS,
     CAMERA,
     COUNT,
     FACING,
@@ -29,6 +28,7 @@ from lscan.camera.posedboards import (
     squares,
     towards,
 )
+from lscan.config.rig import BENDS
 from lscan.records import Floats, Ints, Mask, select
 
 # The covariance of fitted parameters, and the modes of error that it gives to a map.

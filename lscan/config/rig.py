@@ -177,6 +177,13 @@ KnownSalinity = tuple[Annotated[float, _of_formula(35)], Uncertainty]
 KnownDepth = tuple[Annotated[float, _of_formula(9900)], Uncertainty]
 
 
+LensKind = Literal["brown", "rational", "fisheye"]
+"""Which model of a lens: Brown's, OpenCV's rational one, or Kannala and Brandt's."""
+
+LensChoice = LensKind | Literal["auto"]
+BENDS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # coefficients of a lens's distortion
+
+
 class OpticsSection(Strict):
     """What is known of the camera and its port before calibration, each with its uncertainty.
 

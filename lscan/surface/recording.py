@@ -29,8 +29,8 @@ from lscan.calibration.physical import PhysicalMap
 from lscan.calibration.planemap import PlaneMap
 from lscan.camera import CameraModel, project, rays
 from lscan.camera.optics import meet_plane
-from lscan.camera.posedboards import BENDS, camera_of
-from lscan.config.rig import Rig
+from lscan.camera.posedboards import camera_of
+from lscan.config.rig import BENDS, Rig
 from lscan.errors import InputError
 from lscan.files.disk import MOST_TEXT_BYTES, read_bytes
 from lscan.files.pictures import encode_picture, with_bits

@@ -16,9 +16,9 @@ from lscan.acquisition.run import Run, require_same_files
 from lscan.board.chessboard import charuco_board
 from lscan.calibration.metric.views import Charuco, Chessboard, Dots, HeldBoard
 from lscan.camera.optics import CameraModel, undistort
-from lscan.camera.posedboards import BENDS
 from lscan.config.board import Board, Grid, Plate, load_board
 from lscan.config.documents import Document, Strict, check, read_document, write_toml
+from lscan.config.rig import BENDS
 from lscan.errors import InputError
 from lscan.files.disk import make_folder, write_atomically
 from lscan.files.pictures import write_picture

@@ -9,10 +9,9 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from lscan.camera.posedboards import BENDS
 from lscan.config.board import Board
 from lscan.config.documents import Document, Strict, check, read_document
-from lscan.config.rig import Rig, RigFile, inline_board, parse_rig
+from lscan.config.rig import BENDS, Rig, RigFile, inline_board, parse_rig
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.scene import instrument

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, NonNegativeFloat, PositiveFloat, Tag, model_validator
 
-from lscan.camera.posedboards import LensKind
 from lscan.config.documents import Strict
+from lscan.config.rig import LensKind
 from lscan.records import Floats
 
 FULL_SCALE_DN = 255.0

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from lscan.calibration.metric.planemap import SheetView
 from lscan.calibration.metric.views import CalibrationView, LinePoints
 from lscan.camera import CameraModel, PortModel, project
-from lscan.camera.posedboards import BENDS
-from lscan.config.rig import OpticsSection
+from lscan.config.rig import BENDS, OpticsSection
 from lscan.records import Floats, Marks, Status
 
 SIZE = (640, 480)

@@ -19,8 +19,6 @@ from lscan.camera.posedboards import (
     LEAST,
     POSE,
     CameraPriors,
-    LensChoice,
-    LensKind,
     PortKind,
     PosedBoards,
     priors_of,
@@ -36,7 +34,7 @@ from lscan.camera.resection import (
     sound_marks,
     with_covariance,
 )
-from lscan.config.rig import Known, OpticsSection
+from lscan.config.rig import Known, LensChoice, LensKind, OpticsSection
 from lscan.errors import MeasurementError
 from lscan.records import Floats, select
 from lscan.version import __version__

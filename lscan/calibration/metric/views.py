@@ -12,10 +12,9 @@ from pydantic import Field, PositiveFloat, ValidationInfo, field_validator
 from lscan.board import read_board
 from lscan.board.chessboard import read_charuco, read_chessboard
 from lscan.calibration.marks import Region, region_around
-from lscan.camera.posedboards import LensChoice
 from lscan.config.board import load_board
 from lscan.config.documents import Strict, check, read_document
-from lscan.config.rig import Channel, Known, OpticsSection, StripeSection
+from lscan.config.rig import Channel, Known, LensChoice, OpticsSection, StripeSection
 from lscan.errors import BoardNotFound, InputError, MeasurementError
 from lscan.files.disk import make_folder
 from lscan.files.pictures import eight_bit, read_picture, write_picture

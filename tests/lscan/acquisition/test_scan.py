@@ -94,13 +94,9 @@ def test_deep_pictures_are_kept_to_the_last_bit(tmp_path: Path, colour: bool) ->
     mean = np.mean([frame.image for frame in run.frames()], axis=0)
     assert mean_picture(run).dtype == np.uint16
     np.testing.assert_array_equal(mean_picture(run), np.rint(mean))
-    with pytest.raises(
-        DeviceError, match=r"frame 0: .* uint8 .*allowed: uint16 for camera.bits"
-    ):
+    with pytest.raises(DeviceError, match=r"frame 0: .* uint8 .*allowed: uint16 for camera.bits"):
         fake_scan(tmp_path / "b", deep)
-    with pytest.raises(
-        DeviceError, match=r"frame 0: .* uint16 .*allowed: uint8 for camera.bits"
-    ):
+    with pytest.raises(DeviceError, match=r"frame 0: .* uint16 .*allowed: uint8 for camera.bits"):
         fake_scan(tmp_path / "c", bits=12)
 
 

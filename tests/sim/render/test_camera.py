@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from places import SCENES
 
-from lscan.camera.posedboards import LensKind
+from lscan.config.rig import LensKind
 from lscan.errors import InputError
 from lscan.records import Floats
 from sim.render.firstorder import Defocus

@@ -17,9 +17,9 @@ from lscan.calibration.marks import found_on
 from lscan.calibration.metric.solve import _held_out_px, calibrate_camera, calibrate_metric
 from lscan.calibration.metric.views import CalibrationView
 from lscan.camera import CameraModel, project
-from lscan.camera.posedboards import BENDS, CAMERA, NEWER, LensChoice, priors_of
+from lscan.camera.posedboards import CAMERA, NEWER, priors_of
 from lscan.camera.resection import posed_boards
-from lscan.config.rig import OpticsSection
+from lscan.config.rig import BENDS, LensChoice, OpticsSection
 from lscan.records import Floats, Marks, Status
 
 NOISE_PX = 0.05

@@ -12,7 +12,7 @@ from numpy.polynomial import Polynomial
 
 from lscan import camera as instrument
 from lscan.camera.optics import fold_radius as instruments_fold
-from lscan.camera.posedboards import BENDS
+from lscan.config.rig import BENDS
 from sim.scene import Lens, PlanePort, Pose
 from sim.truth.camera import TrueCamera, fold_radius, image, rays_to
 
