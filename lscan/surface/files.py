@@ -545,7 +545,9 @@ def _grid_arrays(grid: HeightGrid) -> dict[str, NetcdfArray]:
     plan = ("y", "x")
 
     def axis(values: Floats, name: str) -> NetcdfArray:
-        notes = {"long_name": f"{name} of the cells' middles", "axis": name.upper(), **LENGTH}
+        # Without a standard name axis = "Y" stands for the latitude (CF 1.11, section 4).
+        plane = {"axis": name.upper(), "standard_name": f"projection_{name}_coordinate"}
+        notes = {"long_name": f"{name} of the cells' middles", **plane, **LENGTH}
         return NetcdfArray((name,), values, notes)
 
     beside = "z_sigma points" + (grid.modes_mm is not None) * f" {COMMON}"

@@ -60,7 +60,10 @@ def test_netcdf_is_a_grid_with_axes_of_its_own(tmp_path: Path, grid: HeightGrid)
         here = read.z.sel(x=11.0, y=31.0).item()
         assert here == pytest.approx(height(11.0, 31.0), abs=1e-9)
         assert np.isnan(read.z.sel(x=HOLE[0], y=HOLE[1], method="nearest"))
-        assert read.x.attrs["axis"] == "X" and read.z.attrs["units"] == "mm"
+        for name, values in {"x": read.x, "y": read.y}.items():  # no longitude, nor latitude
+            assert values.attrs["axis"] == name.upper()
+            assert values.attrs["standard_name"] == f"projection_{name}_coordinate"
+        assert read.z.attrs["units"] == "mm"
         known = np.isfinite(read.z.values)
         # 32 points of .05 mm each; calibration's part does not average out.
         assert read.z_sigma.values[known].min() > 0.01
