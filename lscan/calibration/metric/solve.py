@@ -25,6 +25,7 @@ from lscan.camera.posedboards import (
 )
 from lscan.camera.resection import (
     MEDIAN,
+    WRONG,
     BoardMarks,
     CameraFit,
     best_start,
@@ -359,9 +360,26 @@ def _held_out_px(start: PosedBoards, marks: BoardMarks, priors: CameraPriors) ->
             return np.inf
         seen = fit_boards(posed, rest, replace(held, mean=theta), TOLERANCE)
         missed.append(np.hypot(*rest.missed_px(seen).T))
-    lengths = np.concatenate(missed)
-    sound = sound_marks(lengths / max(float(np.median(lengths)), 1e-12))
-    return float(np.sqrt(np.mean(lengths[sound] ** 2)))
+    return capped_rms(np.concatenate(missed))
+
+
+def capped_rms(lengths: Floats) -> float:
+    """Root mean square of residuals' lengths, of which none counts more than an outlier's least.
+
+    A mark that was read wrongly then counts alike for all models of a lens, and one for which a
+    model has no place at all counts against it.
+
+    Parameters
+    ----------
+    lengths : (N,) array
+
+    Examples
+    --------
+    >>> round(capped_rms(np.array([1.0] * 99 + [1e4])), 3)
+    1.118
+    """
+    most = WRONG * float(np.median(lengths)) / MEDIAN
+    return float(np.sqrt(np.mean(np.minimum(lengths, most) ** 2)))
 
 
 def _renumbered(marks: BoardMarks) -> BoardMarks:

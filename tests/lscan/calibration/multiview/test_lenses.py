@@ -14,11 +14,16 @@ from metricviews import SIZE, known, paper_rig, poses, views_of, with_noise
 
 from lscan.calibration.calibrationfile import load_camera, load_metric, save_calibration
 from lscan.calibration.marks import found_on
-from lscan.calibration.metric.solve import _held_out_px, calibrate_camera, calibrate_metric
+from lscan.calibration.metric.solve import (
+    _held_out_px,
+    calibrate_camera,
+    calibrate_metric,
+    capped_rms,
+)
 from lscan.calibration.metric.views import CalibrationView
 from lscan.camera import CameraModel, project
 from lscan.camera.posedboards import CAMERA, NEWER, priors_of
-from lscan.camera.resection import posed_boards
+from lscan.camera.resection import FAR_PX, posed_boards
 from lscan.config.rig import BENDS, LensChoice, OpticsSection
 from lscan.records import Floats, Marks, Status
 
@@ -96,6 +101,13 @@ def test_held_out_views_are_not_fitted() -> None:
     assert start is not None
     priors = priors_of(IN_AIR, SIZE, assume_webcam=False, lens="rational")
     assert _held_out_px(start, marks, priors) > 1.01 * fitted.rms_px
+
+
+def test_marks_that_a_model_has_no_place_for_count_against_it() -> None:
+    """Closed form: one of a hundred counts as 6 / sqrt(2 ln 2) times the median, and not as 0."""
+    lengths = np.array([1.0] * 99 + [FAR_PX])
+    assert capped_rms(lengths) == pytest.approx(np.sqrt((99 + 36 / np.log(4)) / 100), rel=1e-12)
+    assert capped_rms(np.array([1.0] * 99 + [0.0])) == pytest.approx(np.sqrt(0.99), rel=1e-12)
 
 
 def test_a_forced_model_is_the_one_fitted() -> None:
