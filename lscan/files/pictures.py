@@ -372,7 +372,8 @@ def write_picture(path: Path, image: Picture) -> None:
     Parameters
     ----------
     path : Path, the file; replaced where it is there
-    image : (H, W) grey or (H, W, 3) RGB array, uint8 or uint16
+    image : (H, W) grey or (H, W, 3) RGB array, uint8, or uint16 with its camera's bits the
+        uppermost, of which a PNG then says how many
 
     Raises
     ------

@@ -4,6 +4,7 @@ import csv
 import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from command_line import call, refused
@@ -86,7 +87,7 @@ def test_a_picture_of_more_bits_is_read_and_its_bits_are_said(
     line += np.random.default_rng(bits).normal(0, 0.2, line.shape)
     line[0, 0] = 250.0
     numbers = np.rint(line * 2.0 ** (bits - 8)).astype(np.uint16)
-    write_picture(tmp_path / "deep.png", numbers)
+    cv2.imwrite(str(tmp_path / "deep.png"), numbers)
     code, out, err = call(
         capsys, "extract", tmp_path / "deep.png", "-o", tmp_path / "line.csv", "--overlay",
         tmp_path / "overlay.png",
