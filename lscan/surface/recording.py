@@ -17,12 +17,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from lscan.acquisition.run import MANIFEST, TABLE, Run, most_table_bytes
+from lscan.acquisition.writer import PNG
 from lscan.calibration.check import map_for_rig
 from lscan.calibration.maps.auto import Auto
 from lscan.calibration.physical import PhysicalMap
@@ -54,7 +54,6 @@ _KINDS = {
     TRANSFORMS: "tf2_msgs/TFMessage",
 }
 SAME_PLACE_MM = 1e-3
-PNG_FAST = (cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY)  # as a run's
 _GRID = 13, 11  # pixels along u and v at which a lens behind a port is looked at
 
 
@@ -227,7 +226,7 @@ class LiveRecording:
         profile : Surface, optional, mm, the points of this picture
         plane_map : PlaneMap, optional, that they are by
         """
-        png = with_bits(encode_picture(image, ".png", PNG_FAST), image)
+        png = with_bits(encode_picture(image, ".png", PNG), image)
         if position_mm is None:
             parts = _pictures({PICTURE: png}, stamp)
         else:
